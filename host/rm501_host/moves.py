@@ -1,9 +1,10 @@
 """Moves: what a program asks for once units, offsets and rotation are resolved.
 
-The interpreter speaks in canonical calls, the planner in moves; this module is all that they share. Every coordinate is in the
-program frame (the configured rigid transform of the base frame, design: `[frame]`), lengths in mm, angles in deg, with work offsets,
-G92 and rotation already applied. A target is always complete: six numbers X Y Z A B C, where the meaning of A B C follows from
-`machine.coordinates` (XYZAB: pitch, roll, unused; XYZABC: roll, pitch, yaw of the tool frame).
+The interpreter speaks in canonical calls, the planner in moves; this module is all that they share. Every
+coordinate is in the program frame (the configured rigid transform of the base frame, design: `[frame]`), lengths in
+mm, angles in deg, with work offsets, G92 and rotation already applied. A target is always complete: six numbers X Y
+Z A B C, where the meaning of A B C follows from `machine.coordinates` (XYZAB: pitch, roll, unused; XYZABC: roll,
+pitch, yaw of the tool frame).
 """
 
 from __future__ import annotations
@@ -68,10 +69,10 @@ class LinearMove:
 class ArcMove:
     """G2, G3: a circular or helical arc to `target`.
 
-    `centre_mm` lies in the plane of the start point; `axis` is the unit normal about which the tool turns counter-clockwise
-    (right-hand rule) when `angle_deg` > 0, clockwise when < 0. `angle_deg` is the whole angle swept, full turns included. The rise along
-    the axis and A B C are linear in the angle; a radius that differs between start and end within the interpreter's tolerance is
-    blended linearly in the angle.
+    `centre_mm` lies in the plane of the start point; `axis` is the unit normal about which the tool turns
+    counter-clockwise (right-hand rule) when `angle_deg` > 0, clockwise when < 0. `angle_deg` is the whole angle
+    swept, full turns included. The rise along the axis and A B C are linear in the angle; a radius that differs
+    between start and end within the interpreter's tolerance is blended linearly in the angle.
     """
 
     target: Target
@@ -86,8 +87,8 @@ class ArcMove:
 class SplineMove:
     """G5, G5.1, G5.2/G5.3: a NURBS curve in the program frame that starts at the current point.
 
-    `control_points_mm` (n points), `weights` (n), `knots` (n + degree + 1, non-decreasing); Bezier curves are NURBS with unit weights
-    and clamped knots. A B C keep their values.
+    `control_points_mm` (n points), `weights` (n), `knots` (n + degree + 1, non-decreasing); Bezier curves are NURBS
+    with unit weights and clamped knots. A B C keep their values.
     """
 
     target: Target
@@ -113,7 +114,8 @@ class JointMove:
 class ToolChange:
     """G43, G49 (and tool numbers): the tool length that holds from here on.
 
-    `length_mm` lengthens the last link along the tool, `offset_mm` shifts the tool centre point across it (tool frame X, Y).
+    `length_mm` lengthens the last link along the tool, `offset_mm` shifts the tool centre point across it (tool
+    frame X, Y).
     """
 
     length_mm: float
