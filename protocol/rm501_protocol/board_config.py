@@ -1,8 +1,8 @@
 """What the board has to know, as one value: `BoardConfig`, with the RM-501's own as `RM501_BOARD`.
 
 It is the set of its pages (`config_pages`) and nothing else; its hash is the CRC-32 over their canonical encodings,
-in order of message id, each
-preceded by its id. The pin numbers are fixed by the tables here: host, firmware and emulator share them.
+in order of message id, each preceded by its id. The pin numbers are fixed by the tables here: host, firmware and
+emulator share them.
 
 Output word, one bit per output pin of the two parallel ports; input word likewise::
 
@@ -248,8 +248,8 @@ class BoardConfig:
         problems += [f"page {kind.__name__} is missing" for kind in PAGE_TYPES if kind not in found]
         if problems:
             raise ConfigError(tuple(problems))
-        return cls(*(found[kind] for kind in PAGE_TYPES))  # type: ignore[arg-type]  # PAGE_TYPES has the order of
-        the fields
+        # PAGE_TYPES has the order of the fields
+        return cls(*(found[kind] for kind in PAGE_TYPES))  # type: ignore[arg-type]
 
     def pages(self) -> tuple[ConfigPage, ...]:
         """The pages, in order of message id."""

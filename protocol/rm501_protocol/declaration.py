@@ -1,10 +1,9 @@
 """How a message is declared, and the encoder and decoder that follow from the declaration.
 
 `@message(id, direction, ...)` over a frozen dataclass registers it. Its fields carry their wire type in `Annotated`;
-an enum annotated with
-an unsigned type travels as its number. Fields may only ever be added at the end, with a default: a payload of an
-older peer, ending before such a
-field, decodes to the default, and bytes beyond the last known field are ignored.
+an enum annotated with an unsigned type travels as its number. Fields may only ever be added at the end, with a
+default: a payload of an older peer, ending before such a field, decodes to the default, and bytes beyond the last
+known field are ignored.
 """
 
 from __future__ import annotations
@@ -75,8 +74,8 @@ _fields: dict[type[Message], tuple[Field, ...]] = {}
 def message(message_id: int, direction: Direction, *, sequenced: bool, urgent: bool = False) -> Callable[[_M], _M]:
     """Register the dataclass below as message `message_id` (1..127).
 
-    `sequenced` ones arrive exactly once and in order; `urgent` ones go ahead of sequenced messages that still wait
-    to be sent.
+    `sequenced` ones arrive exactly once and in order; `urgent` ones go ahead of sequenced messages that still wait to
+    be sent.
     """
 
     def register(cls: _M) -> _M:

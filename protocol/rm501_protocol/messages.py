@@ -1,10 +1,9 @@
 """Every message between host and board, declared once: id, direction, fields, widths, units, meaning.
 
 Encoder, decoder, the table in `docs/protocol.md` and the test vectors all come from these declarations. Ids never
-change; fields are
-only added at the end, with a default. Motion frames and real frames are u32 and wrap; clocks are u32 microseconds of
-the board and wrap. Configuration pages are
-in `config_pages`, the motion segment in `segment_message`.
+change; fields are only added at the end, with a default. Motion frames and real frames are u32 and wrap; clocks are
+u32 microseconds of the board and wrap. Configuration pages are in `config_pages`, the motion segment in
+`segment_message`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The exact integer arithmetic of motion segments, the same on the host and on the board.
 
 Scale: positions and all differences count 2^-48 step (``Q48``). On the wire v is in 2^-32 step/frame and a in 2^-40
-step/frame^2, so v and
-a are shifted left by 16 and 8 bits; j is in 2^-48 step/frame^3 as it is. One motion frame does::
+step/frame^2, so v and a are shifted left by 16 and 8 bits; j is in 2^-48 step/frame^3 as it is. One motion frame
+does::
 
     p += v;  v += a;  a += j
 
@@ -13,9 +13,8 @@ and after n frames, with no truncation anywhere,
     a(n) = a + n j
 
 (Newton's forward differences). Both products of consecutive integers are divisible by 2 and 6, so the closed form is
-exact and equal to
-the stepping bit for bit. Note that v(n) is the forward difference: the step from frame n to n + 1, not the
-derivative at n.
+exact and equal to the stepping bit for bit. Note that v(n) is the forward difference: the step from frame n to n + 1,
+not the derivative at n.
 """
 
 from __future__ import annotations
@@ -128,9 +127,8 @@ def motor_extremes(term: MotorTerm, length_frames: int) -> tuple[int, int, int, 
     a_max), 2^-48 step/frame^n.
 
     v(n) is a quadratic in n whose vertex lies at 1/2 - a/j, so over the integers its extremes are at the ends or
-    beside the vertex; a(n) is linear.
-    The speeds are those of the frames played (0..length-1) and of the end of the segment (frame length), where the
-    next one takes over.
+    beside the vertex; a(n) is linear. The speeds are those of the frames played (0..length-1) and of the end of the
+    segment (frame length), where the next one takes over.
     """
     a0 = term.a << A_SHIFT
     frames = [0, length_frames]

@@ -1,8 +1,7 @@
 """What a transport of bytes looks like to the code above it: typing protocols only, no I/O here.
 
 Implementations live with the host (serial, sockets, CAN) and with the emulated board; the entry-point group
-`rm501.transports` maps a URL scheme to
-an ``async open_transport(url) -> Transport``.
+`rm501.transports` maps a URL scheme to an ``async open_transport(url) -> Transport``.
 """
 
 from __future__ import annotations

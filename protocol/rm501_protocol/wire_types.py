@@ -1,10 +1,8 @@
 """The types that fields of messages have on the wire, all little endian.
 
 A message declares a field once, as ``name: Annotated[int, U32("frames", "what it means")]``; encoder, decoder,
-documentation and test
-vectors are derived from that. Wire types are values: they know width, range, unit and meaning, and how to turn one
-Python value into bytes
-and back. `declaration` strings them together.
+documentation and test vectors are derived from that. Wire types are values: they know width, range, unit and meaning,
+and how to turn one Python value into bytes and back. `declaration` strings them together.
 """
 
 from __future__ import annotations
