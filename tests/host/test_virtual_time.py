@@ -5,6 +5,7 @@ import asyncio
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from rm501_host.virtual_time import VirtualDeadlockError, run_virtual
 
 
