@@ -1,0 +1,270 @@
+"""The bench: everything on the far side of the microcontroller's pins.
+
+It takes port words and gives input words, and nothing else crosses. Work is lazy: words are kept until somebody needs
+to know what they did (an input is read, the truth is asked for), then decoded in one block. The promise that
+`inputs_stable_until` gives is what makes that possible: no switch, line or button can change before that frame,
+whatever the motors are told.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rm501_protocol.board_config import INPUT_LINES, OUTPUT_LINES, InputId
+from rm501_sim_board.driver_boards import Board, BusActivity, DriverBoards
+from rm501_sim_board.errors import BenchConfigError
+from rm501_sim_board.geometry import JOINT_COUNT, Joint
+from rm501_sim_board.hand import Hand
+from rm501_sim_board.ideal_plant import IdealPlant
+from rm501_sim_board.plant import NEVER_FRAMES, FrameClock, Plant
+from rm501_sim_board.presets import BenchParameters
+from rm501_sim_board.randomness import stream
+from rm501_sim_board.recording import DEFAULT_KEEP_WORDS, Recording
+from rm501_sim_board.switches import Switch
+from rm501_sim_board.wiring import Terminal, Wire, Wiring, WordArray
+
+_SWITCH_INPUT: dict[Joint, InputId] = {
+    Joint.WAIST: InputId.SWITCH_WAIST,
+    Joint.SHOULDER: InputId.SWITCH_SHOULDER,
+    Joint.ELBOW: InputId.SWITCH_ELBOW,
+    Joint.PITCH: InputId.SWITCH_PITCH,
+    Joint.ROLL: InputId.SWITCH_ROLL,
+}
+BUTTONS: tuple[InputId, ...] = (InputId.ESTOP, InputId.HOLD, InputId.CYCLE_START)
+
+
+def standard_wiring() -> Wiring:
+    """The cable as the pin table has it."""
+    wires: dict[Terminal, Wire] = {}
+    for line in OUTPUT_LINES:
+        names = ("STROBE_724", "STROBE_732", "STROBE_727") if line.name == "STROBE" else (line.name,)
+        for name in names:
+            wires[Terminal(name)] = Wire(line.bit, line.inverted)
+    return Wiring(wires)
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """How things really stand at one real frame; no board and no host can see this."""
+
+    frame: int
+    joint_deg: tuple[float, ...]
+    tcp_mm: tuple[float, float, float]
+    commanded_steps: tuple[int, ...]
+    counter_error_steps: tuple[int, ...]
+    overflowed_motors: tuple[int, ...]
+    powered: bool
+    hand_opening_mm: float
+    gripping: bool
+    payload_kg: float
+    heartbeat_edges: int
+    inputs: dict[str, bool]
+
+
+class Bench:
+    """Wiring, driver boards, motors, arm, switches and buttons around one microcontroller."""
+
+    def __init__(
+        self,
+        parameters: BenchParameters,
+        *,
+        seed: int = 0,
+        clock: FrameClock | None = None,
+        wiring: Wiring | None = None,
+        keep_words: int = DEFAULT_KEEP_WORDS,
+        boards: DriverBoards | None = None,
+    ) -> None:
+        self.parameters = parameters
+        self.seed = seed
+        self.clock = clock or FrameClock(40, 8)
+        self.boards = boards or DriverBoards(wiring or standard_wiring())
+        self.recording = Recording(self.clock.periods_per_frame, keep_words)
+        self.hand = Hand(parameters.hand)
+        self.plant: Plant = self._build_plant()
+        self.switches = tuple(
+            Switch(p, stream(seed, f"switch {joint.name}"), self.clock.frames_per_second)
+            for joint, p in zip(Joint, parameters.switches, strict=True)
+        )
+        self.heartbeat_edges = 0
+        self.on_settle: list[Callable[[int], None]] = []
+        self._pressed: set[InputId] = set()
+        self._forced: dict[InputId, bool] = {}
+        self._agenda: list[tuple[int, int, Callable[[], None]]] = []
+        self._agenda_count = 0
+        self._pending: list[WordArray] = []
+        self._pending_words = 0
+        self._decoded_periods = 0
+        self._settled_frame = -1
+        self._active: dict[InputId, bool] = {}
+        self._word = 0
+
+    # ------------------------------------------------------------ the microcontroller's side
+
+    def write_frame(self, frame: int, words: Sequence[int] | npt.NDArray[np.integer]) -> None:
+        """Port words of one frame, one per base period."""
+        self.write_block(frame, words)
+
+    def write_block(self, first_frame: int, words: Sequence[int] | npt.NDArray[np.integer]) -> None:
+        """Port words of whole frames, in order; a gap is a bug in the microcontroller's model."""
+        block = np.array(words, dtype=np.uint32)
+        expected = self._decoded_periods + self._pending_words
+        if first_frame * self.clock.periods_per_frame != expected:
+            raise BenchConfigError(
+                f"port words for frame {first_frame} came after {expected} base periods; frames must follow each other"
+            )
+        self._pending.append(block)
+        self._pending_words += len(block)
+        self.recording.add_words(block)
+
+    def read_inputs(self, frame: int) -> int:
+        """The input word at the start of real `frame`."""
+        self.settle(frame)
+        return self._word
+
+    def inputs_stable_until(self, frame: int) -> int:
+        """Promise: the inputs keep the value they had at `frame` until the returned frame, however the motors move."""
+        self.settle(frame)
+        steady = self.plant.steady_frames()
+        if self._agenda:
+            steady = min(steady, self._agenda[0][0] - frame)
+        angles = self.plant.joint_deg
+        bounds = self.plant.joint_speed_bounds_deg_per_frame()
+        for switch, angle, bound in zip(self.switches, angles, bounds, strict=True):
+            if steady <= 1:
+                break
+            steady = min(steady, switch.steady_frames(frame, angle, bound))
+        return frame + max(1, min(steady, NEVER_FRAMES))
+
+    # ------------------------------------------------------------ the operator's side
+
+    def press(self, button: InputId) -> None:
+        """Press a button (the emergency stop latches until released)."""
+        self._require_button(button)
+        self._pressed.add(button)
+        self._world_changed()
+
+    def release(self, button: InputId) -> None:
+        """Let a button go."""
+        self._require_button(button)
+        self._pressed.discard(button)
+        self._world_changed()
+
+    def force_input(self, line: InputId, active: bool | None) -> None:
+        """Force an input line active or inactive at the connector; None lets it go."""
+        if active is None:
+            self._forced.pop(line, None)
+        else:
+            self._forced[line] = active
+        self._world_changed()
+
+    def rewire(self, wiring: Wiring) -> None:
+        """Change the cable from now on."""
+        self._decode()
+        self.boards.wiring = wiring
+
+    def at_frame(self, frame: int, action: Callable[[], None]) -> None:
+        """Have `action` happen at the start of real `frame`, before the inputs of that frame are read."""
+        heapq.heappush(self._agenda, (frame, self._agenda_count, action))
+        self._agenda_count += 1
+
+    def truth(self, frame: int | None = None) -> Truth:
+        """The state of the world at the last settled frame, or at `frame` when all its port words are known."""
+        if frame is not None:
+            self.settle(frame)
+        plant = self.plant
+        x_mm, y_mm, z_mm = self.parameters.geometry.tcp_mm(plant.joint_deg).tolist()
+        return Truth(
+            frame=self._settled_frame,
+            joint_deg=plant.joint_deg,
+            tcp_mm=(x_mm, y_mm, z_mm),
+            commanded_steps=(*plant.commanded_steps, self.hand.pulses_open - self.hand.pulses_closed),
+            counter_error_steps=plant.counter_error_steps,
+            overflowed_motors=plant.overflowed,
+            powered=plant.powered,
+            hand_opening_mm=self.hand.opening_mm,
+            gripping=self.hand.gripping,
+            payload_kg=self.hand.payload_kg + plant.disturbances.payload_kg,
+            heartbeat_edges=self.heartbeat_edges,
+            inputs={line.name: active for line, active in self._active.items()},
+        )
+
+    def settle(self, frame: int) -> None:
+        """Bring the world to the start of real `frame`."""
+        if frame == self._settled_frame:
+            return
+        if frame < self._settled_frame:
+            raise BenchConfigError(f"the bench is at frame {self._settled_frame}, it cannot go back to {frame}")
+        self._decode()
+        self.plant.advance(frame)
+        self._settled_frame = frame
+        while self._agenda and self._agenda[0][0] <= frame:
+            heapq.heappop(self._agenda)[2]()
+        for hook in self.on_settle:
+            hook(frame)
+        self._sense(frame)
+
+    # ------------------------------------------------------------ internal
+
+    def _build_plant(self) -> Plant:
+        wires = self.boards.wiring.wires
+        return IdealPlant(
+            self.parameters.drive_train,
+            self.clock,
+            self.parameters.start_deg,
+            power_fitted=Terminal.MOTOR_POWER in wires,
+            max_steps_per_frame=self.clock.periods_per_frame / 4,
+            counter_limit_steps=self.parameters.counter_limit_steps,
+        )
+
+    def _decode(self) -> None:
+        if not self._pending:
+            return
+        words = self._pending[0] if len(self._pending) == 1 else np.concatenate(self._pending)
+        self._pending.clear()
+        self._pending_words = 0
+        activity = self.boards.decode(words, self._decoded_periods)
+        self._decoded_periods = activity.end_period
+        self.recording.add_activity(activity)
+        self.heartbeat_edges += activity.heartbeat_edges
+        self._drive_hand(activity)
+        self.plant.feed(activity)
+
+    def _drive_hand(self, activity: BusActivity) -> None:
+        pulses = activity.steps[5]
+        if pulses.periods.size and self.plant.powered:
+            for sign in pulses.signs.tolist():
+                self.hand.pulse(sign)
+
+    def _sense(self, frame: int) -> None:
+        active = self._active
+        angles = self.plant.joint_deg
+        for joint in range(JOINT_COUNT):
+            active[_SWITCH_INPUT[Joint(joint)]] = self.switches[joint].level(frame, angles[joint])
+        active[InputId.OVERFLOW_724] = self.plant.overflow_line(Board.ELBOW_WAIST)
+        active[InputId.OVERFLOW_732] = self.plant.overflow_line(Board.SHOULDER_WRIST)
+        for button in BUTTONS:
+            active[button] = button in self._pressed
+        active.update(self._forced)
+        word = 0
+        for line, level in active.items():
+            row = INPUT_LINES[line]
+            if level != row.inverted:
+                word |= 1 << row.bit
+        self._word = word
+        self.recording.add_input(frame, word)
+
+    def _world_changed(self) -> None:
+        self.plant.estop_open = InputId.ESTOP in self._pressed
+        if self._settled_frame >= 0:
+            self._sense(self._settled_frame)
+
+    @staticmethod
+    def _require_button(button: InputId) -> None:
+        if button not in BUTTONS:
+            names = ", ".join(b.name for b in BUTTONS)
+            raise BenchConfigError(f"{button.name} is no button; press one of {names}, or force the input")

@@ -1,0 +1,237 @@
+"""Boards 724, 732 and 727 seen from their terminals: select lines, strobe edge, latched step and direction levels.
+
+Each motor has a register on its board. On the logical 0 -> 1 edge of the strobe the register whose select line is
+active takes over the levels of the board's shared STEP and DIR lines. A latched STEP going 0 -> 1 is one step in the
+direction latched with it (direction 1 is negative).
+
+    period      0     1     2     3     4     5     6     7     0
+    strobe   ___|‾‾‾‾‾|_____|‾‾‾‾‾|_____|‾‾‾‾‾|_____|‾‾‾‾‾|_____     edges at periods 1, 3, 5, 7
+    select   elbow,shldr  waist,left  right, hand   hand power
+    latched        ^ slot 0    ^ slot 1    ^ slot 2    ^ slot 3
+
+Board 727 has two registers fed by HAND_1: the direction of the hand and its power; a power pulse is a 0 -> 1 of the
+latter. Decoding is vectorised over blocks of port words and carries its state from block to block, so that the result
+does not depend on how the words were cut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from rm501_sim_board.wiring import BoolArray, Terminal, Wiring, WordArray
+
+IntArray = npt.NDArray[np.int64]
+
+CHANNEL_COUNT = 6
+
+
+class Board(IntEnum):
+    """The driver boards by their part numbers."""
+
+    ELBOW_WAIST = 724
+    SHOULDER_WRIST = 732
+    HAND = 727
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterSpec:
+    """Which terminals feed one register."""
+
+    board: Board
+    select: Terminal
+    step: Terminal
+    direction: Terminal
+    strobe: Terminal
+
+
+# Registers of the arm motors in motor order (waist, shoulder, elbow, right wrist, left wrist).
+ARM_REGISTERS: tuple[RegisterSpec, ...] = (
+    RegisterSpec(Board.ELBOW_WAIST, Terminal.WAIST_SELECT, Terminal.STEP_1, Terminal.DIR_1, Terminal.STROBE_724),
+    RegisterSpec(Board.SHOULDER_WRIST, Terminal.SHOULDER_SELECT, Terminal.STEP_2, Terminal.DIR_2, Terminal.STROBE_732),
+    RegisterSpec(Board.ELBOW_WAIST, Terminal.ELBOW_SELECT, Terminal.STEP_1, Terminal.DIR_1, Terminal.STROBE_724),
+    RegisterSpec(
+        Board.SHOULDER_WRIST, Terminal.RIGHT_WRIST_SELECT, Terminal.STEP_2, Terminal.DIR_2, Terminal.STROBE_732
+    ),
+    RegisterSpec(
+        Board.SHOULDER_WRIST, Terminal.LEFT_WRIST_SELECT, Terminal.STEP_2, Terminal.DIR_2, Terminal.STROBE_732
+    ),
+)
+HAND_DIRECTION_REGISTER = RegisterSpec(
+    Board.HAND, Terminal.HAND_DIRECTION, Terminal.HAND_1, Terminal.HAND_2, Terminal.STROBE_727
+)
+HAND_POWER_REGISTER = RegisterSpec(
+    Board.HAND, Terminal.HAND_POWER, Terminal.HAND_1, Terminal.HAND_2, Terminal.STROBE_727
+)
+
+MOTORS_OF_BOARD: dict[Board, tuple[int, ...]] = {
+    board: tuple(motor for motor, spec in enumerate(ARM_REGISTERS) if spec.board is board)
+    for board in (Board.ELBOW_WAIST, Board.SHOULDER_WRIST)
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Steps that one register counted: `periods` (base periods since boot, ascending) and `signs` (+1, -1)."""
+
+    periods: IntArray
+    signs: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class LevelChanges:
+    """Changes of one plain line: the base period at which each new level holds, ascending."""
+
+    periods: IntArray
+    levels: BoolArray
+
+
+_NO_PERIODS: IntArray = np.zeros(0, dtype=np.int64)
+_NO_STEPS = Steps(_NO_PERIODS, _NO_PERIODS)
+_NO_CHANGES = LevelChanges(_NO_PERIODS, np.zeros(0, dtype=np.bool_))
+
+
+@dataclass(frozen=True, slots=True)
+class BusActivity:
+    """What the boards made of a block of port words, base periods [first_period, end_period).
+
+    `steps` holds six entries in motor order; the sixth is the hand, whose steps are power pulses, +1 opening.
+    """
+
+    first_period: int
+    end_period: int
+    steps: tuple[Steps, ...]
+    master_reset: LevelChanges
+    motor_power: LevelChanges
+    heartbeat_edges: int
+
+
+class _Register:
+    """One latch: the last latched levels, and the extraction of steps from the strobed words."""
+
+    __slots__ = ("direction", "spec", "step")
+
+    def __init__(self, spec: RegisterSpec) -> None:
+        self.spec = spec
+        self.step = False
+        self.direction = False
+
+    def latch(self, wiring: Wiring, words: WordArray, periods: IntArray) -> Steps:
+        """Latch at the strobed `words`; returns the 0 -> 1 transitions of the latched step level."""
+        wires = wiring.wires
+        selected = wires[self.spec.select].levels(words)
+        if not selected.all():
+            words = words[selected]
+            periods = periods[selected]
+        if not words.size:
+            return _NO_STEPS
+        steps = wires[self.spec.step].levels(words)
+        before = self.step
+        self.step = bool(steps[-1])
+        direction_wire = wires[self.spec.direction]
+        self.direction = direction_wire.level(int(words[-1]))
+        if not before and not steps.any():
+            return _NO_STEPS
+        rising = steps.copy()
+        rising[1:] &= ~steps[:-1]
+        if before:
+            rising[0] = False
+        where = np.flatnonzero(rising)
+        if not where.size:
+            return _NO_STEPS
+        negative = direction_wire.levels(words[where])
+        return Steps(periods[where], np.where(negative, -1, 1))
+
+
+class _PlainLine:
+    """A line that is not latched: only its changes matter."""
+
+    __slots__ = ("level", "terminal")
+
+    def __init__(self, terminal: Terminal) -> None:
+        self.terminal = terminal
+        self.level = False
+
+    def changes(self, wiring: Wiring, words: WordArray, first_period: int) -> LevelChanges:
+        wire = wiring.wires.get(self.terminal)
+        if wire is None or not words.size:
+            return _NO_CHANGES
+        levels = wire.levels(words)
+        before = self.level
+        self.level = bool(levels[-1])
+        # The common case by far: nothing moves.
+        if levels.all() if before else not levels.any():
+            return _NO_CHANGES
+        changed = np.empty(levels.shape, dtype=np.bool_)
+        changed[0] = levels[0] != before
+        np.not_equal(levels[1:], levels[:-1], out=changed[1:])
+        where = np.flatnonzero(changed)
+        return LevelChanges(where + first_period, levels[where])
+
+
+class DriverBoards:
+    """The digital side of the three driver boards: port words in, steps and line changes out."""
+
+    def __init__(self, wiring: Wiring) -> None:
+        self.wiring = wiring
+        self._arm = tuple(_Register(spec) for spec in ARM_REGISTERS)
+        self._hand_direction = _Register(HAND_DIRECTION_REGISTER)
+        self._hand_power = _Register(HAND_POWER_REGISTER)
+        self._strobes = dict.fromkeys(_STROBES, False)
+        self._master_reset = _PlainLine(Terminal.MASTER_RESET)
+        self._motor_power = _PlainLine(Terminal.MOTOR_POWER)
+        self._heartbeat = _PlainLine(Terminal.HEARTBEAT)
+
+    def decode(self, words: WordArray, first_period: int) -> BusActivity:
+        """Run the boards over `words`, one per base period, the first of which is `first_period`."""
+        strobed: dict[Terminal, tuple[WordArray, IntArray]] = {}
+        edge_of_wire: dict[object, tuple[WordArray, IntArray, bool]] = {}
+        for terminal in _STROBES:
+            key = (self.wiring.wires[terminal], self._strobes[terminal])
+            if key not in edge_of_wire:
+                edge_of_wire[key] = self._strobe_edges(terminal, words, first_period)
+            edge_words, periods, last = edge_of_wire[key]
+            self._strobes[terminal] = last
+            strobed[terminal] = (edge_words, periods)
+        arm = tuple(register.latch(self.wiring, *strobed[register.spec.strobe]) for register in self._arm)
+        return BusActivity(
+            first_period=first_period,
+            end_period=first_period + len(words),
+            steps=(*arm, self._hand_pulses(*strobed[Terminal.STROBE_727])),
+            master_reset=self._master_reset.changes(self.wiring, words, first_period),
+            motor_power=self._motor_power.changes(self.wiring, words, first_period),
+            heartbeat_edges=len(self._heartbeat.changes(self.wiring, words, first_period).periods),
+        )
+
+    def _strobe_edges(
+        self, terminal: Terminal, words: WordArray, first_period: int
+    ) -> tuple[WordArray, IntArray, bool]:
+        levels = self.wiring.wires[terminal].levels(words)
+        rising = levels.copy()
+        rising[1:] &= ~levels[:-1]
+        if self._strobes[terminal] and levels.size:
+            rising[0] = False
+        where = np.flatnonzero(rising)
+        last = bool(levels[-1]) if levels.size else self._strobes[terminal]
+        return words[where], where + first_period, last
+
+    def _hand_pulses(self, words: WordArray, periods: IntArray) -> Steps:
+        """Power pulses of the hand, signed by the direction latched before each of them (0 opens, +1)."""
+        direction_before = self._hand_direction.step
+        wires = self.wiring.wires
+        direction_at = wires[Terminal.HAND_DIRECTION].levels(words)
+        self._hand_direction.latch(self.wiring, words, periods)
+        pulses = self._hand_power.latch(self.wiring, words, periods)
+        if not pulses.periods.size:
+            return pulses
+        latch_periods = periods[direction_at]
+        latched = wires[Terminal.HAND_1].levels(words[direction_at])
+        index = np.searchsorted(latch_periods, pulses.periods, side="right") - 1
+        with_start = np.concatenate(([direction_before], latched))
+        return Steps(pulses.periods, np.where(with_start[index + 1], -1, 1))
+
+
+_STROBES = (Terminal.STROBE_724, Terminal.STROBE_732, Terminal.STROBE_727)

@@ -1,0 +1,126 @@
+"""One emulated controller: the firmware's model on one side of the pins, the bench on the other.
+
+Time is real frames since power-up; whoever drives the emulator (a pacer on an event loop, a test) says up to which
+frame to run. A reset of the microcontroller, or its absence for a while, happens here: the bench lives on, the pins
+float to their inactive level, and the board boots with a new identity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rm501_firmware_model import Board, FastBoard
+from rm501_protocol.board_config import OUTPUT_LINES, RM501_BOARD
+from rm501_sim_board.bench import Bench, Truth
+from rm501_sim_board.plant import FrameClock
+from rm501_sim_board.presets import BenchParameters
+from rm501_sim_board.randomness import stream
+from rm501_sim_board.recording import DEFAULT_KEEP_WORDS, Recording
+from rm501_sim_board.wiring import WordArray
+
+_BOARDS: dict[str, type[Board] | type[FastBoard]] = {"fast": FastBoard, "reference": Board}
+
+# Ports with pull-ups: every pin high while the microcontroller is in reset.
+FLOATING_WORD = sum(1 << line.bit for line in OUTPUT_LINES if line.inverted)
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatorOptions:
+    """How to build an emulator: the bench, the seed, the firmware's implementation, how many port words to keep."""
+
+    parameters: BenchParameters
+    seed: int = 0
+    firmware: str = "fast"
+    keep_words: int = DEFAULT_KEEP_WORDS
+    packets: bool = False
+
+
+class _PinsSinceBoot:
+    """The bench as a board sees it whose frames count from its own boot."""
+
+    __slots__ = ("_bench", "_first_frame")
+
+    def __init__(self, bench: Bench, first_frame: int) -> None:
+        self._bench = bench
+        self._first_frame = first_frame
+
+    def write_frame(self, frame: int, words: Sequence[int]) -> None:
+        """Port words of one frame."""
+        self._bench.write_block(self._first_frame + frame, words)
+
+    def write_block(self, first_frame: int, words: WordArray) -> None:
+        """Port words of whole frames."""
+        self._bench.write_block(self._first_frame + first_frame, words)
+
+    def read_inputs(self, frame: int) -> int:
+        """The input word at the start of `frame`."""
+        return self._bench.read_inputs(self._first_frame + frame)
+
+    def inputs_stable_until(self, frame: int) -> int:
+        """First frame at which the inputs may differ from those at `frame`."""
+        return self._bench.inputs_stable_until(self._first_frame + frame) - self._first_frame
+
+
+class Emulator:
+    """A controller board on its bench."""
+
+    def __init__(self, options: EmulatorOptions) -> None:
+        self.options = options
+        self.clock = FrameClock(RM501_BOARD.timing.base_period_us, RM501_BOARD.frame_periods)
+        self.bench = Bench(options.parameters, seed=options.seed, clock=self.clock, keep_words=options.keep_words)
+        self.resets = 0
+        self._boots = stream(options.seed, "boot identity")
+        self._first_frame = 0
+        self._asked_frame = 0
+        self.board = self._boot()
+
+    @property
+    def frame(self) -> int:
+        """Real frames since power-up of the bench up to which everything has happened."""
+        return self._first_frame + self.board.frame
+
+    @property
+    def recording(self) -> Recording:
+        """Port words and counted steps since power-up."""
+        return self.bench.recording
+
+    @property
+    def in_reset(self) -> bool:
+        """Whether the microcontroller is off or held in reset at the frame last asked for."""
+        return self._asked_frame < self._first_frame
+
+    def truth(self) -> Truth:
+        """The world as it stands now."""
+        return self.bench.truth(self.frame)
+
+    def receive(self, data: bytes) -> None:
+        """Bytes arrive at the board, at the present frame; a board in reset hears nothing."""
+        if not self.in_reset:
+            self.board.receive(data)
+
+    def transmit(self) -> bytes:
+        """Bytes that the board has sent since the last call."""
+        return b"" if self.in_reset else self.board.transmit()
+
+    def advance_to(self, frame: int) -> None:
+        """Run the board to real `frame`; nothing happens when it is there already."""
+        self._asked_frame = max(frame, self._asked_frame)
+        if frame > self.frame:
+            self.board.run_until(frame - self._first_frame)
+
+    def reset_microcontroller(self, dark_frames: int = 1) -> None:
+        """Brown-out: the pins float for `dark_frames`, then the board boots with a new identity and an empty memory."""
+        now = self.frame
+        self.resets += 1
+        words = np.full(dark_frames * self.clock.periods_per_frame, FLOATING_WORD, dtype=np.uint32)
+        self.bench.write_block(now, words)
+        self._first_frame = now + dark_frames
+        self.board = self._boot()
+
+    def _boot(self) -> Board | FastBoard:
+        pins = _PinsSinceBoot(self.bench, self._first_frame)
+        epoch = int(self._boots.integers(1, 1 << 32))
+        return _BOARDS[self.options.firmware](RM501_BOARD, pins, epoch)
