@@ -206,9 +206,8 @@ _DEFAULT_MOTORS = (
     MotorLimits(1250, 8000),  # waist: 200 deg/s2 at 40 steps/deg
     MotorLimits(1250, 840),  # shoulder: 21 deg/s2
     MotorLimits(1250, 840),  # elbow
-    # a wrist motor carries pitch and roll at once: 2 x 20 deg/s2 at 26.667 steps/deg, with the .ini's 5 % of reserve
-    MotorLimits(1250, 1120),
-    MotorLimits(1250, 1120),
+    MotorLimits(1250, 560),  # right wrist: 21 deg/s2 of the motor at 26.667 steps/deg
+    MotorLimits(1250, 560),  # left wrist
     MotorLimits(0, 0),  # hand: moved by events
 )
 

@@ -6,7 +6,8 @@
     ├── LocalProtocolError        this side did something that the protocol forbids
     │   ├── FieldRangeError       a value does not fit the field it was put in
     │   ├── ConfigError           a board configuration contradicts itself
-    │   └── LinkClosedError       a sequenced message was sent without a session
+    │   ├── LinkClosedError       a message was sent without a session
+    │   └── LinkFullError         more messages wait than the link keeps
     └── RemoteProtocolError       the other side did
         └── DecodeError           bytes with a good checksum that are no message
 
@@ -20,6 +21,7 @@ __all__ = [
     "DecodeError",
     "FieldRangeError",
     "LinkClosedError",
+    "LinkFullError",
     "LocalProtocolError",
     "ProtocolError",
     "RemoteProtocolError",
@@ -58,7 +60,11 @@ class ConfigError(LocalProtocolError):
 
 
 class LinkClosedError(LocalProtocolError):
-    """A sequenced message was sent while no session is open."""
+    """A message was sent while no session is open."""
+
+
+class LinkFullError(LocalProtocolError):
+    """More messages wait than the link keeps; nothing was queued."""
 
 
 class DecodeError(RemoteProtocolError):

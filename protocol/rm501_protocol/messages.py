@@ -184,6 +184,7 @@ class StopReply(Message):
 
     requested: Annotated[int, U8("", "generation in the Stop or Kill answered")]
     generation: Annotated[int, U8("", "generation now in force")]
+    executed: Annotated[bool, Bool("", "false: older than a stop of the board's own, ask again beyond it")]
 
 
 @message(0x07, _TO_BOARD, sequenced=False)

@@ -66,6 +66,16 @@ class Codec(Protocol):
     that they complete.
     """
 
+    @property
+    def delimiter(self) -> bytes:
+        """What ends a packet, and may be put before one to shake off noise; empty when packets are kept apart."""
+        ...
+
+    @property
+    def bad_frames(self) -> int:
+        """What was dropped so far: stuffing, checksum or length wrong."""
+        ...
+
     def encode(self, packet: bytes) -> bytes:
         """Bytes to write for one packet."""
         ...
