@@ -1,0 +1,399 @@
+"""One session with one board: bytes in and out, handshake, commands that are confirmed, status.
+
+The session owns the transport and the host's end of the link and runs on callbacks of the event loop alone; it starts
+no task. Whatever arrives is given to the listeners first, then to those who wait for it. When the transport is gone
+or the board restarted, the session has failed for good: everyone who waits gets the error, and every later call
+raises it. What a new session may trust, the board says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
+from rm501_host.session.counters import FrameCounter
+from rm501_host.session.refusals import BoardRefusedError
+from rm501_protocol.board_config import BoardConfig
+from rm501_protocol.declaration import Message
+from rm501_protocol.enums import BoardState
+from rm501_protocol.framing import PacketCodec
+from rm501_protocol.host_link import HostLink
+from rm501_protocol.link_events import (
+    Event,
+    GenerationAdvanced,
+    LinkHeard,
+    LinkSilent,
+    Received,
+    SessionLost,
+    SessionOpened,
+    StopAcknowledged,
+    StopKind,
+)
+from rm501_protocol.messages import (
+    PROTOCOL_MAJOR,
+    ConfigAccepted,
+    ConfigCommit,
+    Identify,
+    Refused,
+    Status,
+    StatusRequest,
+)
+from rm501_protocol.transport import Transport
+
+M = TypeVar("M", bound=Message)
+T = TypeVar("T")
+Notice = Message | LinkSilent | LinkHeard | SessionLost | StopAcknowledged | GenerationAdvanced
+"""What a listener gets: messages of the board and what the link noticed."""
+WireTap = Callable[[int, str, bytes], None]
+"""Called with now_us, "out" or "in", and the bytes."""
+
+HANDSHAKE_TIMEOUT_S = 5.0
+"""A board that resets when its port is opened needs about two seconds before it answers."""
+COMMAND_TIMEOUT_S = 3.0
+"""Far above the longest retransmission (0.25 s) and the longest pause of a board that is alive."""
+_STOP_TIMEOUT_S = 2.0
+_POLL_S = 0.01
+"""Between two looks at whether a command took effect."""
+
+
+class LinkLostError(StoppedError):
+    """The board cannot be reached any more; what it does then is its own rule: it holds on the path and waits for a
+    user.
+    """
+
+
+class BoardSession:
+    """An open session; made by `open_session`."""
+
+    def __init__(self, transport: Transport, nonce: Callable[[], int], wire_tap: WireTap | None = None) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._transport = transport
+        codec = PacketCodec() if transport.packets else None
+        self.link = HostLink(codec=codec, bytes_per_second=transport.bytes_per_second)
+        self._nonce = nonce
+        self._wire_tap = wire_tap
+        self._timer: asyncio.TimerHandle | None = None
+        self._pump_scheduled = False
+        self._waiters: dict[asyncio.Future[Any], Callable[[Notice | SessionOpened], object | None]] = {}
+        self._listeners: list[Callable[[Notice], None]] = []
+        self._failure: Rm501Error | None = None
+        self._closing = False
+        self._flushed: list[asyncio.Future[None]] = []
+        self.motion_frames = FrameCounter()
+        self.real_frames = FrameCounter()
+        self.status: Status | None = None
+        """The newest status, None before the first."""
+        self.link_silent = False
+
+    # ------------------------------------------------------------------------------------------- handshake
+
+    async def handshake(self, board_config: BoardConfig) -> Identify:
+        """Open a session and make sure that the board runs `board_config`.
+
+        Raises NoBoardError when nobody answers, RefusedError naming what differs when the board may not be configured
+        now.
+        """
+        self._transport.start(self)
+        opened = self._expect(lambda notice: notice if isinstance(notice, SessionOpened) else None)
+        self.link.connect(self._nonce(), self._now_us())
+        self._schedule_pump()
+        try:
+            async with asyncio.timeout(HANDSHAKE_TIMEOUT_S):
+                identify = (await opened).identify
+        except TimeoutError:
+            remedy = "check the cable, the board's power and the baud rate, and that nobody else has the port open"
+            raise NoBoardError(f"no board answers within {HANDSHAKE_TIMEOUT_S:.0f} s; {remedy}") from None
+        if identify is None or identify.major != PROTOCOL_MAJOR:
+            theirs = "none" if identify is None else identify.major
+            raise RefusedError(
+                f"the board speaks protocol {theirs}, this host {PROTOCOL_MAJOR}; install matching versions"
+            )
+        status = await self.refresh_status()
+        if identify.config_hash != board_config.hash:
+            await self._configure(identify, status, board_config)
+        return identify
+
+    async def _configure(self, identify: Identify, status: Status, board_config: BoardConfig) -> None:
+        if status.state not in (BoardState.BOOT, BoardState.IDLE):
+            differing = [f"configuration {identify.config_hash:08x} instead of {board_config.hash:08x}"]
+            if identify.base_period_us != board_config.timing.base_period_us:
+                differing.append(
+                    f"base period {identify.base_period_us} us instead of {board_config.timing.base_period_us} us"
+                )
+            if identify.frame_periods != board_config.frame_periods:
+                differing.append(f"frame of {identify.frame_periods} periods instead of {board_config.frame_periods}")
+            raise RefusedError(
+                f"the board is {status.state.name} with another configuration ({', '.join(differing)}); "
+                "stop and reset it, then connect again"
+            )
+        for page in board_config.pages():
+            self.post(page)
+        accepted = await self.request(ConfigCommit(board_config.hash), ConfigAccepted)
+        if accepted.config_hash != board_config.hash:
+            raise RefusedError(
+                f"the board took configuration {accepted.config_hash:08x} instead of {board_config.hash:08x}; "
+                "reset the board"
+            )
+
+    # -------------------------------------------------------------------------------------------- messages
+
+    def post(self, message: Message) -> None:
+        """Hand a message to the link; raises the session's failure, LinkFullError."""
+        self._raise_failure()
+        self.link.send(message)
+        self._schedule_pump()
+
+    async def request(self, message: Message, reply: type[M], timeout_s: float = COMMAND_TIMEOUT_S) -> M:
+        """Send and wait for a message of type `reply`; raises BoardRefusedError when the board refuses `message`."""
+
+        def answers(notice: Notice | SessionOpened) -> M | None:
+            if isinstance(notice, Refused) and notice.message_id == message.ID:
+                raise BoardRefusedError(notice)
+            return notice if isinstance(notice, reply) else None
+
+        answer = self._expect(answers)
+        self.post(message)
+        return await self._within(answer, timeout_s, f"{reply.__name__} in answer to {type(message).__name__}")
+
+    async def command(
+        self, message: Message, until: Callable[[Status], bool], timeout_s: float = COMMAND_TIMEOUT_S
+    ) -> Status:
+        """Send and wait until a status from after it satisfies `until`; raises BoardRefusedError when refused."""
+
+        def refusal(notice: Notice | SessionOpened) -> Status | None:
+            if isinstance(notice, Refused) and notice.message_id == message.ID:
+                raise BoardRefusedError(notice)
+            return None
+
+        refused = self._expect(refusal)
+        try:
+            self.post(message)
+            async with asyncio.timeout(timeout_s):
+                await self._flush()
+                while True:
+                    status = await self.refresh_status()
+                    if refused.done():
+                        refused.result()
+                    if until(status):
+                        return status
+                    await asyncio.sleep(_POLL_S)
+        except TimeoutError:
+            raise StoppedError(
+                f"the board took {type(message).__name__} but did not do it within {timeout_s:.0f} s "
+                f"(state {self.status.state.name if self.status else 'unknown'}); look at its status, then reset it"
+            ) from None
+        finally:
+            refused.cancel()
+
+    async def refresh_status(self, timeout_s: float = COMMAND_TIMEOUT_S) -> Status:
+        """Ask for a status and wait for one."""
+        answer = self._expect(lambda notice: notice if isinstance(notice, Status) else None)
+        self.post(StatusRequest())
+        return await self._within(answer, timeout_s, "Status")
+
+    async def wait_for(
+        self, wanted: Callable[[Notice], T | None], timeout_s: float | None = None, what: str = "a message"
+    ) -> T:
+        """Wait until `wanted` gives something else than None for a notice; what it raises is raised here."""
+        future = self._expect(lambda notice: None if isinstance(notice, SessionOpened) else wanted(notice))
+        return await self._within(future, timeout_s, what)
+
+    def add_listener(self, listener: Callable[[Notice], None]) -> Callable[[], None]:
+        """Call `listener` with every notice from now on; the returned function ends that."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    async def stop(self, kind: StopKind = StopKind.STOP) -> None:
+        """Stop ahead of everything; returns when the board has taken it. Nothing sent before will run after it."""
+        self._raise_failure()
+        acknowledged = self._expect(lambda notice: notice if isinstance(notice, StopAcknowledged) else None)
+        self.link.stop(kind, self._now_us())
+        self._pump()
+        await self._within(acknowledged, _STOP_TIMEOUT_S, "the acknowledgement of a stop")
+
+    async def aclose(self) -> None:
+        """End the session and let go of the port; may be called twice."""
+        self._closing = True
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        await self._transport.aclose()
+
+    @property
+    def failure(self) -> Rm501Error | None:
+        """Why this session is over, None while it is not."""
+        return self._failure
+
+    # ----------------------------------------------------------------------------- receiver of a transport
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes from the transport."""
+        if self._closing:
+            return
+        now_us = self._now_us()
+        if self._wire_tap is not None:
+            self._wire_tap(now_us, "in", data)
+        self.link.receive_data(data, now_us)
+        self._pump()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The transport is gone."""
+        if not self._closing:
+            reason = str(exc) if exc is not None else "the other end closed it"
+            self._fail(
+                LinkLostError(
+                    f"the connection to the board is gone: {reason}; a moving arm holds on its path by itself: "
+                    "restore the connection, then look at the status before you resume or home again"
+                )
+            )
+
+    # ------------------------------------------------------------------------------------------- machinery
+
+    def _now_us(self) -> int:
+        return round(self._loop.time() * 1e6)
+
+    def _schedule_pump(self) -> None:
+        if not self._pump_scheduled:
+            self._pump_scheduled = True
+            self._loop.call_soon(self._scheduled_pump)
+
+    def _scheduled_pump(self) -> None:
+        self._pump_scheduled = False
+        self._pump()
+
+    def _pump(self) -> None:
+        """Hand on what the link has for its user and for the line, and set the timer to its next deadline."""
+        if self._closing or self._failure is not None:
+            return
+        now_us = self._now_us()
+        self._drain()
+        for packet in self.link.packets_to_send(now_us):
+            if self._wire_tap is not None:
+                self._wire_tap(now_us, "out", packet)
+            self._transport.write(packet)
+        self._drain()
+        if not self.link.pending and not self.link.unacknowledged:
+            for future in self._flushed:
+                if not future.done():
+                    future.set_result(None)
+            self._flushed.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+        deadline_us = self.link.next_deadline_us()
+        self._timer = None if deadline_us is None else self._loop.call_at(deadline_us / 1e6, self._pump)
+
+    def _drain(self) -> None:
+        while (event := self.link.next_event()) is not None:
+            self._handle(event)
+
+    def _handle(self, event: Event) -> None:
+        match event:
+            case Received(message=Status() as status):
+                self.status = status
+                self.motion_frames.read(status.motion_frame)
+                self.real_frames.read(status.real_frame)
+                self._tell(status)
+            case Received(message=message):
+                self._tell(message)
+            case SessionOpened():
+                self._wake(event)
+            case SessionLost(reason=reason):
+                self._tell(event)
+                self._fail(
+                    LinkLostError(
+                        f"the session with the board is over: {reason.value}; its queue and its position are lost: "
+                        "connect again and home the arm"
+                    )
+                )
+            case LinkSilent():
+                self.link_silent = True
+                self._tell(event)
+            case LinkHeard():
+                self.link_silent = False
+                self._tell(event)
+            case StopAcknowledged() | GenerationAdvanced():
+                self._tell(event)
+            case _:
+                pass
+
+    def _tell(self, notice: Notice) -> None:
+        for listener in tuple(self._listeners):
+            listener(notice)
+        self._wake(notice)
+
+    def _wake(self, notice: Notice | SessionOpened) -> None:
+        for future, wanted in tuple(self._waiters.items()):
+            if future.done():
+                continue
+            try:
+                result = wanted(notice)
+            except Rm501Error as error:
+                future.set_exception(error)
+            else:
+                if result is not None:
+                    future.set_result(result)
+
+    def _expect(self, wanted: Callable[[Notice | SessionOpened], T | None]) -> asyncio.Future[T]:
+        self._raise_failure()
+        future: asyncio.Future[T] = self._loop.create_future()
+        self._waiters[future] = wanted
+        future.add_done_callback(self._forget)
+        return future
+
+    def _forget(self, future: asyncio.Future[Any]) -> None:
+        self._waiters.pop(future, None)
+        if not future.cancelled():
+            future.exception()
+
+    async def _within(self, future: asyncio.Future[T], timeout_s: float | None, what: str) -> T:
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await future
+        except TimeoutError:
+            raise LinkLostError(
+                f"the board did not send {what} within {timeout_s:.0f} s; check the connection and the board's power"
+            ) from None
+
+    async def _flush(self) -> None:
+        """Wait until everything sequenced is acknowledged."""
+        future: asyncio.Future[None] = self._loop.create_future()
+        self._flushed.append(future)
+        self._schedule_pump()
+        await future
+
+    def _raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _fail(self, error: Rm501Error) -> None:
+        if self._failure is not None:
+            return
+        self._failure = error
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for future in (*self._waiters, *self._flushed):
+            if not future.done():
+                future.set_exception(error)
+
+
+async def open_session(
+    opening: Coroutine[Any, Any, Transport],
+    board_config: BoardConfig,
+    nonce: Callable[[], int],
+    wire_tap: WireTap | None = None,
+) -> BoardSession:
+    """Open the transport, shake hands, configure; raises NoBoardError, RefusedError. Nothing stays open on an error."""
+    try:
+        transport = await opening
+    except OSError as error:
+        raise NoBoardError(f"the port cannot be opened: {error}") from error
+    session = BoardSession(transport, nonce, wire_tap)
+    try:
+        await session.handshake(board_config)
+    except BaseException:
+        await session.aclose()
+        raise
+    return session

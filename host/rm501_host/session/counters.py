@@ -1,0 +1,33 @@
+"""Frame counters of the board, u32 on the wire, extended to numbers that never wrap."""
+
+from __future__ import annotations
+
+_WRAP = 1 << 32
+_HALF = 1 << 31
+
+
+class FrameCounter:
+    """Follows a wrapping u32 counter; right as long as two readings lie less than 2^31 apart (7.9 days of frames)."""
+
+    def __init__(self) -> None:
+        self._value: int | None = None
+
+    @property
+    def value(self) -> int:
+        """The newest reading, extended; 0 before the first."""
+        return self._value or 0
+
+    def read(self, wrapped: int) -> int:
+        """Take a u32 reading; a reading a little older than the newest goes back, as signed distance says."""
+        if self._value is None:
+            self._value = wrapped
+        else:
+            self._value = self.extend(wrapped)
+        return self._value
+
+    def extend(self, wrapped: int) -> int:
+        """The extended number nearest to the newest reading; does not take it."""
+        if self._value is None:
+            return wrapped
+        distance = (wrapped - self._value) & (_WRAP - 1)
+        return self._value + (distance - _WRAP if distance >= _HALF else distance)
