@@ -77,7 +77,7 @@ class BoardLink(LinkCore):
         self._new_generation((self._generation + 1) & 0xFF)
         return self._generation
 
-    # -------------------------------------------------------------------------------- packets
+    # ------------------------------------------------------------------------------------- packets
 
     def _free_slots(self) -> int:
         return max(0, min(255, self.free_slots - self._undelivered_segments))

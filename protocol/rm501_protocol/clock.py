@@ -153,7 +153,7 @@ class ClockEstimator:
         trip_us = max(0.0, fit.envelope_out_us + fit.envelope_in_us)
         return ClockQuality(len(self._samples), fit.slope * 1e6, trip_us, trip_us / 2, self._jumps, self._last_jump_us)
 
-    # -------------------------------------------------------------------------------- inside
+    # ------------------------------------------------------------------------------------- inside
 
     def _extend(self, ticks: int) -> int:
         return self.extend_ticks(ticks)

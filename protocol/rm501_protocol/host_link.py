@@ -68,7 +68,7 @@ class HostLink(LinkCore):
         self._clock_due_us: int | None = None
         self._silent = False
 
-    # -------------------------------------------------------------------------------- public
+    # ------------------------------------------------------------------------------------- public
 
     def connect(self, nonce: int, now_us: int) -> tuple[Message, ...]:
         """Ask for a new session until SessionOpened; `nonce` is random (u32). Returns what the old session had not
@@ -144,7 +144,7 @@ class HostLink(LinkCore):
                 self._silent = True
                 self._put_event(LinkSilent(silent_us))
 
-    # -------------------------------------------------------------------------------- packets
+    # ------------------------------------------------------------------------------------- packets
 
     def _may_send_sequenced(self) -> bool:
         return self._open and self._stop is None

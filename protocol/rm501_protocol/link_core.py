@@ -95,7 +95,7 @@ class LinkCore:
         self._last_heard_us: int | None = None
         self.stats = LinkStats()
 
-    # -------------------------------------------------------------------------------- public
+    # ------------------------------------------------------------------------------------- public
 
     @property
     def is_open(self) -> bool:
@@ -198,7 +198,7 @@ class LinkCore:
         if self._window.time_out(now_us):
             self.stats.timeouts += 1
 
-    # -------------------------------------------------------------------------------- for the two ends
+    # ------------------------------------------------------------------------------------- for the two ends
 
     def _send_first(self, out: list[bytes], now_us: int) -> None:
         """Append what goes ahead of everything and past the pacing."""
@@ -300,7 +300,7 @@ class LinkCore:
             raise DecodeError(message_id, f"{cls.__name__} may not come this way")
         return decode_payload(message_id, payload)
 
-    # -------------------------------------------------------------------------------- line
+    # ------------------------------------------------------------------------------------- line
 
     def _emit(self, out: list[bytes], message_id: int, flags: int, sequence: int, payload: bytes, now_us: int) -> None:
         if self._open:

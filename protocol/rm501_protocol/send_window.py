@@ -73,7 +73,7 @@ class SendWindow:
         self.deadline_us: int | None = None
         """When the oldest packet in flight times out."""
 
-    # ------------------------------------------------------------------------------------------------------------ queue
+    # ------------------------------------------------------------------------------------- queue
 
     @property
     def pending(self) -> int:
@@ -120,7 +120,7 @@ class SendWindow:
         self.restart()
         return tuple(dropped)
 
-    # -------------------------------------------------------------------------------- sending
+    # ------------------------------------------------------------------------------------- sending
 
     def peek(self, in_flight_cap: int) -> Outgoing | None:
         """The next packet to put on the line, None when there is none or the window, the cap in bytes or the credit

@@ -176,7 +176,8 @@ async def test_bytes_arrive_unchanged_in_both_directions(case) -> None:
         assert bytes(far.received) == data
         for start in range(0, len(data), 500):
             far.send(data[start : start + 500])
-            await collector.until(lambda end=min(len(data), start + 500): len(collector.data) >= end)
+            end = min(len(data), start + 500)
+            await collector.until(lambda end=end: len(collector.data) >= end)
         assert bytes(collector.data) == data
         assert not collector.lost
 
