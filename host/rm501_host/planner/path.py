@@ -1,0 +1,191 @@
+"""From moves to path elements: the program's geometry in the base frame, with its branch, feed and source.
+
+A linear move, an arc or a spline is a path of the tool in task space, on the branch that the arm is on; pitch and roll
+run along with it. A rapid (unless `[planner] linear_rapids`), M110 and M111 are lines in joint space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+
+from rm501_host.kinematics import Arm, Branch, IkResult
+from rm501_host.kinematics import OrientationError as KinematicsOrientationError
+from rm501_host.moves import ArcMove, Feed, FeedMode, JointMove, LinearMove, RapidMove, Source, Target
+
+from .elements import Array, Element, Space, arc, line
+from .errors import JointLimitError, OrientationError, PlanError, UnreachableError
+
+SHORTEST = 1e-7
+"""Below this many mm or deg a move is none."""
+
+
+def task_values(arm: Arm, q_deg: Array) -> Array:
+    """x, y, z (mm), pitch and roll (deg) of joints (5,), as (5,)."""
+    pose = arm.fk(q_deg)
+    return np.array([*pose.xyz_mm, pose.pitch_deg, pose.roll_deg])
+
+
+class PathBuilder:
+    """Follows the moves and turns each into one element; knows where the path has got to.
+
+    `q_deg` (5,): joints at the end of the path so far; `branch`: the arm's branch there; `task` (5,): x, y, z,
+    pitch, roll there.
+    """
+
+    def __init__(self, arm: Arm, start_deg: Array, *, linear_rapids: bool) -> None:
+        self.arm = arm
+        self.linear_rapids = linear_rapids
+        self.q_deg = np.array(start_deg, dtype=np.float64)
+        self.branch: Branch = arm.branch_of(self.q_deg)
+        self.task = task_values(arm, self.q_deg)
+
+    def use_tool(self, length_mm: float, offset_mm: tuple[float, float]) -> None:
+        """From here on the tool centre point is another one; the joints stay."""
+        self.arm = self.arm.with_tool(length_mm, offset_mm)
+        self.stand_at(self.q_deg)
+
+    def stand_at(self, q_deg: Array) -> None:
+        """The path goes on from these joints."""
+        self.q_deg = np.array(q_deg, dtype=np.float64)
+        self.branch = self.arm.branch_of(self.q_deg)
+        self.task = task_values(self.arm, self.q_deg)
+
+    def rapid(self, move: RapidMove) -> Element | None:
+        """G0; None when it does not move."""
+        if self.linear_rapids:
+            element = self._line(move.target, move.source)
+            return element
+        result = self._solve(move.target, move.source)
+        assert result.best is not None
+        return self._joint_line(np.array(result.best.q_deg), move.source)
+
+    def joint(self, move: JointMove) -> Element | None:
+        """M110, M111; None when it does not move."""
+        target = self.q_deg.copy()
+        target[move.joint] = move.angle_deg + (target[move.joint] if move.relative else 0.0)
+        low, high = self.arm.limits_deg
+        beyond = max(low[move.joint] - target[move.joint], target[move.joint] - high[move.joint])
+        if beyond > 1e-9:
+            raise JointLimitError(
+                f"joint {move.joint + 1} would be at {target[move.joint]:g} deg, {beyond:.4g} deg beyond its range",
+                source=move.source,
+                amount=float(beyond),
+                q_deg=tuple(self.q_deg.tolist()),
+                remedy=f"stay within {low[move.joint]:g} to {high[move.joint]:g} deg",
+            )
+        return self._joint_line(target, move.source)
+
+    def linear(self, move: LinearMove) -> Element | None:
+        """G1; None when it does not move."""
+        element = self._line(move.target, move.source)
+        return None if element is None else with_feed(element, move.feed)
+
+    def arc(self, move: ArcMove) -> Element | None:
+        """G2, G3; None when it does not move."""
+        end = self._task_of(move.target, move.source)
+        frame = self.arm.frame
+        centre = frame.base_from_program(np.array(move.centre_mm))
+        axis = frame.rotation @ np.array(move.axis)
+        if abs(move.angle_deg) < SHORTEST:
+            return None
+        element = arc(self.task, end, centre, axis, radians(move.angle_deg), move.source)
+        return with_feed(self._onto(element, end), move.feed)
+
+    def _line(self, target: Target, source: Source) -> Element | None:
+        end = self._task_of(target, source)
+        length = float(np.linalg.norm(end[:3] - self.task[:3]))
+        if length < SHORTEST:
+            length = float(np.linalg.norm(end[3:] - self.task[3:]))
+            if length < SHORTEST:
+                return None
+        return self._onto(line(Space.TASK, self.task, end, length, source), end)
+
+    def _onto(self, element: Element, end: Array) -> Element:
+        """The element on the current branch; the path now ends at `end`."""
+        q_deg, ok = self.arm.ik_batch(end[None, :3], end[3:4], end[4:5], self.branch, float(self.q_deg[0]))
+        if not ok[0]:
+            self._refuse_end(end, element)
+        element = replace(element, branch=self.branch)
+        self.q_deg = q_deg[0]
+        self.task = end
+        return element
+
+    def _refuse_end(self, end: Array, element: Element) -> None:
+        result = self.arm.ik(end[:3], float(end[3]), float(end[4]), self.q_deg)
+        where = f"X{end[0]:.3f} Y{end[1]:.3f} Z{end[2]:.3f} (base frame), pitch {end[3]:.2f} deg"
+        amount = result.shortfalls[0].amount if result.shortfalls else None
+        common = {"source": element.source, "place_mm": element.length, "q_deg": tuple(self.q_deg.tolist())}
+        if result.ok:
+            raise UnreachableError(
+                f"{where} can only be reached on another branch of the arm than the one it starts on",
+                remedy="go there with a joint move (G0)",
+                **common,  # type: ignore[arg-type]  # keyword arguments of PlanError, gathered
+            )
+        kind = JointLimitError if result.solutions else UnreachableError
+        raise kind(
+            f"{where} cannot be reached: {result.reason}",
+            amount=amount,
+            remedy="bring the point nearer or tilt the tool",
+            **common,  # type: ignore[arg-type]  # keyword arguments of PlanError, gathered
+        )
+
+    def _joint_line(self, target_deg: Array, source: Source) -> Element | None:
+        element = joint_line(self.q_deg, target_deg, source)
+        self.stand_at(target_deg)
+        return element
+
+    def _solve(self, target: Target, source: Source) -> IkResult:
+        try:
+            result = self.arm.joints_from_program(target, self.q_deg)
+        except KinematicsOrientationError as error:
+            raise OrientationError(str(error), source=source, amount=error.residual_deg) from error
+        if result.best is None:
+            kind = JointLimitError if result.solutions else UnreachableError
+            x, y, z = target[:3]
+            raise kind(
+                f"X{x:g} Y{y:g} Z{z:g} cannot be reached: {result.reason}",
+                source=source,
+                q_deg=tuple(self.q_deg.tolist()),
+                amount=result.shortfalls[0].amount if result.shortfalls else None,
+                remedy="bring the point nearer or tilt the tool",
+            )
+        return result
+
+    def _task_of(self, target: Target, source: Source) -> Array:
+        """x, y, z, pitch, roll (5,) in the base frame of a target in the program frame."""
+        try:
+            pose = self.arm.pose_from_program(target, self.q_deg)
+        except KinematicsOrientationError as error:
+            raise OrientationError(str(error), source=source, amount=error.residual_deg) from error
+        return np.array([*pose.xyz_mm, pose.pitch_deg, pose.roll_deg])
+
+
+def joint_line(start_deg: Array, target_deg: Array, source: Source) -> Element | None:
+    """The line in joint space; s is the Euclidean distance in deg. None when it does not move."""
+    length = float(np.linalg.norm(target_deg - start_deg))
+    if length < SHORTEST:
+        return None
+    return line(Space.JOINT, start_deg, target_deg, length, source)
+
+
+def with_feed(element: Element, feed: Feed) -> Element:
+    """The element under its programmed feed (RS274 G93, G94).
+
+    mm/min along x, y, z; deg/min along A, B where x, y, z do not move; in inverse time the whole move takes 1/F min.
+    """
+    if not feed.value > 0.0:
+        raise PlanError("a feed move without a feed", source=element.source, remedy="set F above 0")
+    if feed.mode is FeedMode.INVERSE_TIME:
+        return replace(element, rate=element.length * feed.value / 60.0)
+    if element.space is Space.TASK and not _moves_tool(element):
+        return replace(element, rate=feed.value / 60.0)
+    return replace(element, feed_mm_s=feed.value / 60.0)
+
+
+def _moves_tool(element: Element) -> bool:
+    if element.curve is not None or element.omega:
+        return True
+    return bool(np.abs(element.coefficients[1:, :3]).max() * element.length > SHORTEST)

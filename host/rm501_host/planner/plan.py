@@ -1,0 +1,135 @@
+"""A whole plan in memory: all pieces of a program, to be sampled, measured and written out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rm501_host.config import Config
+from rm501_host.kinematics import Arm
+
+from .limits import Limits
+from .pieces import EventKind, Piece, PieceKind
+
+Array = NDArray[np.float64]
+
+SAMPLE_S = 1e-3
+"""Spacing at which ratios are measured and files are written."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanSamples:
+    """The plan at equally spaced times (the last one is its end).
+
+    `t_s` (n,), `q_deg`, `qd_deg_s`, `qdd_deg_s2` (n, 5), `tcp_mm` (n, 3) in the base frame with the tool of that
+    moment, `motor_steps` (n, 6) with the hand's pulses, `line` (n,).
+    """
+
+    t_s: Array
+    q_deg: Array
+    qd_deg_s: Array
+    qdd_deg_s2: Array
+    tcp_mm: Array
+    motor_steps: Array
+    line: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class LimitRatios:
+    """Largest ratios to the planning limits that a law reaches."""
+
+    joint_velocity_ratio: float
+    joint_acceleration_ratio: float
+    motor_rate_ratio: float
+    motor_acceleration_ratio: float
+
+    @property
+    def worst(self) -> float:
+        """The largest of all."""
+        return max(
+            self.joint_velocity_ratio,
+            self.joint_acceleration_ratio,
+            self.motor_rate_ratio,
+            self.motor_acceleration_ratio,
+        )
+
+
+class Plan:
+    """Pieces from the first to the last."""
+
+    def __init__(self, arm: Arm, config: Config, pieces: Iterable[Piece]) -> None:
+        self._arm = arm
+        self._config = config
+        self._limits = Limits.from_config(config)
+        self.pieces: tuple[Piece, ...] = tuple(pieces)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first move to the last rest, with dwells and hand strokes."""
+        return self.pieces[-1].end_s - self.pieces[0].start_s if self.pieces else 0.0
+
+    @property
+    def motion_s(self) -> float:
+        """The time in which a joint moves."""
+        return sum(piece.motion_s for piece in self.pieces)
+
+    def sample(self, dt_s: float = SAMPLE_S) -> PlanSamples:
+        """The law every `dt_s`, and at its end."""
+        if not self.pieces:
+            raise ValueError("an empty plan has no samples")
+        first = self.pieces[0].start_s
+        count = int(np.floor(self.duration_s / dt_s + 1e-9))
+        t_s = np.arange(count + 1) * dt_s
+        if self.duration_s - t_s[-1] > 1e-9:
+            t_s = np.append(t_s, self.duration_s)
+        n = len(t_s)
+        q_deg, rates, accelerations = np.zeros((n, 5)), np.zeros((n, 5)), np.zeros((n, 5))
+        tcp_mm, hand, line = np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=np.int64)
+        at = 0
+        pulses = 0.0
+        for piece in self.pieces:
+            last = piece is self.pieces[-1]
+            stop = n if last else int(np.searchsorted(t_s, piece.end_s - first, side="left"))
+            if piece.duration_s > 0.0 and stop > at:
+                rows = slice(at, stop)
+                time_s = np.minimum(t_s[rows] + first - piece.start_s, piece.duration_s)
+                q_deg[rows], rates[rows], accelerations[rows] = piece.states(time_s)
+                tcp_mm[rows] = (piece.arm or self._arm).fk_batch(q_deg[rows])[0]
+                line[rows] = piece.lines(time_s)
+                hand[rows] = pulses + _hand_pulses(piece, time_s, self._config)
+            elif stop > at:
+                hand[at:stop] = pulses
+                q_deg[at:stop] = piece.rest_deg
+                tcp_mm[at:stop] = (piece.arm or self._arm).fk_batch(q_deg[at:stop])[0]
+                line[at:stop] = piece.source.line
+            at = max(at, stop)
+            pulses += sum(event.value for event in piece.events if event.kind is EventKind.HAND)
+        motors = np.concatenate((self._arm.motors_from_joints(q_deg), hand[:, None]), axis=1)
+        return PlanSamples(t_s, q_deg, rates, accelerations, tcp_mm, motors, line)
+
+    def limits(self, samples: PlanSamples | None = None) -> LimitRatios:
+        """The largest ratios at the samples (every millisecond where none are given)."""
+        samples = samples or self.sample()
+        limits = self._limits
+        motor_rates = self._arm.motors_from_joints(samples.qd_deg_s)
+        motor_accelerations = self._arm.motors_from_joints(samples.qdd_deg_s2)
+        return LimitRatios(
+            float((np.abs(samples.qd_deg_s) / limits.joint_velocity_deg_s).max()),
+            float((np.abs(samples.qdd_deg_s2) / limits.joint_acceleration_deg_s2).max()),
+            float((np.abs(motor_rates) / limits.motor_rate_steps_s).max()),
+            float((np.abs(motor_accelerations) / limits.motor_acceleration_steps_s2).max()),
+        )
+
+
+def _hand_pulses(piece: Piece, time_s: Array, config: Config) -> Array:
+    if piece.kind is not PieceKind.HAND:
+        return np.zeros(len(time_s))
+    done = np.zeros(len(time_s))
+    for event in piece.events:
+        if event.kind is EventKind.HAND:
+            made = np.floor(np.clip(time_s - event.offset_s, 0.0, None) * config.hand.pulse_rate_steps_s + 1e-6)
+            done += np.sign(event.value) * np.minimum(made, abs(event.value))
+    return done

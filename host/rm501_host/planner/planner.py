@@ -1,0 +1,224 @@
+"""The planner: moves in, pieces of the ideal law out, with a bounded look-ahead.
+
+moves -> elements (path) -> joined or blended or stopped at (joints of the path) -> window -> pieces
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from math import ceil
+
+import numpy as np
+
+from rm501_host.config import Config
+from rm501_host.kinematics import Arm
+from rm501_host.moves import (
+    ArcMove,
+    Dwell,
+    HandMove,
+    JointMove,
+    LinearMove,
+    Move,
+    OutputChange,
+    PathMode,
+    PathModeChange,
+    ProbeMove,
+    RapidMove,
+    Source,
+    SplineMove,
+    ToolChange,
+)
+
+from .corners import Corner, CornerMaker
+from .elements import Array, Element
+from .errors import PlanError
+from .grid import GridBuilder
+from .limits import Limits
+from .path import PathBuilder
+from .pieces import EventKind, Piece, PieceEvent, PieceKind
+from .window import Stretch, Window
+
+CHUNK_ELEMENTS = 256
+"""Elements that enter the window at once: enough to spread numpy's cost per call."""
+
+
+class Planner:
+    """Plans moves into pieces, lazily: `plan` reads only as many moves ahead as the look-ahead needs.
+
+    `start_deg`: joints (5,) at the start. `speed_scale`: feed override, 0 < scale <= 2, of programmed feeds only.
+    """
+
+    def __init__(
+        self, arm: Arm, config: Config, start_deg: Sequence[float] | Array, *, speed_scale: float = 1.0
+    ) -> None:
+        self._config = config
+        self._limits = Limits.from_config(config)
+        self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
+        self._path = PathBuilder(arm, np.array(start_deg, dtype=np.float64), linear_rapids=config.planner.linear_rapids)
+        self._speed_scale = speed_scale
+        self._mode = PathMode.EXACT_PATH
+        self._tolerance_mm = 0.0
+        self._start_s = 0.0
+        self._chain_s = 0.0
+        self._pending: Element | None = None
+        self._used = 0.0
+        self._ready: list[Element] = []
+        self._outputs: list[PieceEvent] = []
+        self._set_arm()
+
+    @property
+    def q_deg(self) -> Array:
+        """Joints at the end of what has been read."""
+        return self._path.q_deg
+
+    @property
+    def limits(self) -> Limits:
+        """The limits it plans under."""
+        return self._limits
+
+    def plan(self, moves: Iterable[Move]) -> Iterator[Piece]:
+        """Yield the pieces of the law; raises PlanError at the move that cannot be planned, after all before it."""
+        for move in moves:
+            yield from self._take(move)
+        yield from self._stop()
+
+    def _set_arm(self) -> None:
+        builder = GridBuilder(self._path.arm, self._limits)
+        self._corners = CornerMaker(self._path.arm, self._limits)
+        self._window = Window(self._path.arm, builder, self._frame_s)
+
+    def _take(self, move: Move) -> Iterator[Piece]:
+        match move:
+            case RapidMove():
+                yield from self._add(self._path.rapid(move))
+            case LinearMove():
+                yield from self._add(self._path.linear(move))
+            case ArcMove():
+                yield from self._add(self._path.arc(move))
+            case JointMove():
+                yield from self._add(self._path.joint(move))
+            case SplineMove():
+                raise PlanError("splines are not planned yet", source=move.source, remedy="use G2 and G3")
+            case PathModeChange():
+                self._mode = move.mode
+                self._tolerance_mm = move.tolerance_mm or 0.0
+            case Dwell():
+                yield from self._stop()
+                yield from self._wait(PieceKind.DWELL, move.seconds, move.source)
+            case HandMove():
+                yield from self._stop()
+                hand = self._config.hand
+                pulses = hand.stroke_pulses if move.open else -hand.stroke_pulses
+                event = PieceEvent(0.0, EventKind.HAND, value=pulses, source=move.source)
+                seconds = hand.stroke_pulses / hand.pulse_rate_steps_s + hand.settle_s
+                yield from self._wait(PieceKind.HAND, seconds, move.source, (event,))
+            case OutputChange():
+                mask = 1 << move.output
+                event = PieceEvent(0.0, EventKind.OUTPUT, mask=mask, levels=mask if move.on else 0, source=move.source)
+                yield from self._stop()
+                yield from self._wait(PieceKind.OUTPUT, self._frame_s, move.source, (event,))
+            case ToolChange():
+                yield from self._stop()
+                self._path.use_tool(move.length_mm, move.offset_mm)
+                self._set_arm()
+            case ProbeMove():
+                yield from self._stop()
+                yield self._mark(move)
+                yield from self._add(self._path.linear(LinearMove(move.target, move.feed, move.source)))
+                yield from self._stop()
+            case _:
+                yield from self._stop()
+                yield self._mark(move)
+
+    def _mark(self, move: Move) -> Piece:
+        return Piece(
+            PieceKind.MARK,
+            move.source,
+            self._start_s,
+            0.0,
+            tuple(self._path.q_deg.tolist()),
+            move=move,
+            arm=self._path.arm,
+        )
+
+    def _wait(
+        self, kind: PieceKind, seconds: float, source: Source, events: tuple[PieceEvent, ...] = ()
+    ) -> Iterator[Piece]:
+        duration = self._whole_frames(seconds)
+        if duration > 0.0:
+            rest = tuple(self._path.q_deg.tolist())
+            yield Piece(kind, source, self._start_s, duration, rest, events=events, arm=self._path.arm)
+            self._start_s += duration
+
+    def _whole_frames(self, seconds: float) -> float:
+        return ceil(seconds / self._frame_s - 1e-6) * self._frame_s
+
+    def _add(self, element: Element | None) -> Iterator[Piece]:
+        if element is None:
+            return
+        if self._speed_scale != 1.0:
+            scale = self._speed_scale
+            element = replace(element, feed_mm_s=element.feed_mm_s * scale, rate=element.rate * scale)
+        pending = self._pending
+        if pending is None:
+            self._pending, self._used = element, 0.0
+            return
+        corner = self._corners.between(pending, self._used, element, self._mode, self._tolerance_mm)
+        if corner is None:
+            yield from self._stop()
+            self._pending, self._used = element, 0.0
+            return
+        self._pass_corner(pending, element, corner)
+        if len(self._ready) >= CHUNK_ELEMENTS:
+            yield from self._advance()
+
+    def _pass_corner(self, pending: Element, element: Element, corner: Corner) -> None:
+        last = pending.length - corner.before
+        if last - self._used > 1e-9:
+            self._ready.append(pending.trimmed(self._used, last))
+        self._ready.extend(corner.elements)
+        self._pending, self._used = element, corner.after
+
+    def _advance(self) -> Iterator[Piece]:
+        """Hand what is ready to the window and yield what is settled."""
+        self._window.extend(self._ready)
+        self._ready = []
+        while (stretch := self._window.commit()) is not None:
+            yield self._piece(stretch)
+
+    def _stop(self) -> Iterator[Piece]:
+        """Come to rest at the end of the path so far."""
+        pending, self._pending = self._pending, None
+        if pending is None:
+            return
+        self._ready.append(pending.trimmed(self._used, pending.length))
+        self._window.extend(self._ready)
+        self._ready = []
+        stretch = self._window.finish()
+        if stretch is not None:
+            yield self._piece(stretch)
+
+    def _piece(self, stretch: Stretch) -> Piece:
+        law = stretch.law
+        start_s = self._start_s + self._chain_s
+        self._chain_s += law.duration_s
+        duration = law.duration_s
+        if stretch.ends_at_rest:
+            whole = self._whole_frames(self._chain_s)
+            duration += whole - self._chain_s
+            self._start_s += whole
+            self._chain_s = 0.0
+        rest = law.q_deg(np.array([law.duration_s]))[0]
+        return Piece(
+            PieceKind.MOTION,
+            stretch.elements[0].source,
+            start_s,
+            duration,
+            tuple(rest.tolist()),
+            law=law,
+            starts_at_rest=stretch.starts_at_rest,
+            ends_at_rest=stretch.ends_at_rest,
+            motion_s=law.duration_s,
+            arm=law.arm,
+        )

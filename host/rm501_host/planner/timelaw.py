@@ -1,0 +1,182 @@
+"""The time-optimal law along a given path: reachability analysis on a grid.
+
+Theory of operation
+-------------------
+Along a path q(s) the joint rates are q' v and the joint accelerations q' u + q'' x, with v = ds/dt, u = d2s/dt2 and
+x = v^2 (Bobrow, Dubowsky, Gibson 1985; the thesis's section 4.3.2 with its errata). So every limit is linear in
+(u, x). On a grid of the path, u is constant over each interval, hence x is linear in s,
+
+    x_next = x + 2 u ds          dt = 2 ds / (sqrt(x) + sqrt(x_next)),
+
+and every limit is demanded at both ends of the interval (collocation). Writing u = (y - x) / (2 ds) with y = x_next,
+an interval is a set of strips in the plane of its two squared speeds:
+
+    |P_i x + Q_i y| <= C_i,      0 <= x <= X,      0 <= y <= Y.
+
+This set is convex and contains (0, 0), so the squared speeds from which the end of the path can be reached are
+intervals [0, reach_k] (Pham and Pham 2018, TOPP-RA). One pass backwards finds reach_k, one pass forwards takes the
+largest y at each step; that is the fastest law of the grid. Both passes touch each interval once:
+
+* backwards: the largest x for a given y is the lowest of the lines x <= alpha_i + beta_i y, unless y exceeds the one
+  at which x is largest of all (`peak_y`); then it is that largest x (`peak_x`). `peak_x` comes from eliminating y
+  from all pairs of strips (Fourier, Motzkin), vectorised over the grid;
+* forwards: the largest y for a given x is the lowest of y <= gamma_i + delta_i x, and at most reach_{k+1}.
+
+What lies between the grid points is covered by `widening`: see `constraints.py`, which narrows each C_i by what the
+limit's left side can rise between the two ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_TINY = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalTable:
+    """Intervals of the grid as strips |p x + q y| <= c in the squared speeds x, y at their two ends.
+
+    `p`, `q`, `c`: (n, rows); `length`: (n,), in the path's unit; `x_cap`, `y_cap`: (n,), squared path speeds.
+    """
+
+    length: Array
+    p: Array
+    q: Array
+    c: Array
+    x_cap: Array
+    y_cap: Array
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalLines:
+    """The strips solved for either end: x <= alpha + beta y and y <= gamma + delta x, (n, rows), and the peak."""
+
+    length: Array
+    alpha: Array
+    beta: Array
+    gamma: Array
+    delta: Array
+    peak_x: Array
+    peak_y: Array
+    y_cap: Array
+
+
+def strips(
+    length: Array,
+    first_a: Array,
+    first_b: Array,
+    last_a: Array,
+    last_b: Array,
+    limit: Array,
+    x_cap: Array,
+    y_cap: Array,
+) -> IntervalTable:
+    """Turn |a u + b x| <= limit at both ends of each interval into strips in (x, y).
+
+    `first_a`, `first_b`, `last_a`, `last_b`, `limit`: (n, rows); `length`, `x_cap`, `y_cap`: (n,).
+    """
+    half_slope = 0.5 / length[:, None]
+    p = np.concatenate((first_b - first_a * half_slope, -last_a * half_slope), axis=1)
+    q = np.concatenate((first_a * half_slope, last_b + last_a * half_slope), axis=1)
+    return IntervalTable(length, p, q, np.concatenate((limit, limit), axis=1), x_cap, y_cap)
+
+
+def solve_lines(table: IntervalTable) -> IntervalLines:
+    """Solve the strips for x and for y and find the largest x of each interval with the least y that allows it."""
+    p, q, c, y_cap = table.p, table.q, table.c, table.y_cap[:, None]
+    size_p, size_q = np.abs(p), np.abs(q)
+    uses_x = size_p * table.x_cap[:, None] > _TINY * c
+    uses_y = size_q * y_cap > _TINY * c
+    safe_p = np.where(uses_x, p, 1.0)
+    safe_q = np.where(uses_y, q, 1.0)
+    alpha = np.where(uses_x, c / np.abs(safe_p), np.inf)
+    beta = np.where(uses_x, -q / safe_p, 0.0)
+    gamma = np.where(uses_y, c / np.abs(safe_q), np.inf)
+    delta = np.where(uses_y, -p / safe_q, 0.0)
+
+    peak_x = np.minimum(table.x_cap, np.min(alpha + np.maximum(beta * y_cap, 0.0), axis=1))
+    rows = p.shape[1]
+    for i in range(rows - 1):
+        j = slice(i + 1, rows)
+        determinant = np.abs(p[:, i : i + 1] * q[:, j] - p[:, j] * q[:, i : i + 1])
+        sums = c[:, i : i + 1] * size_q[:, j] + c[:, j] * size_q[:, i : i + 1]
+        bounding = determinant * table.x_cap[:, None] > sums
+        bounds = np.where(bounding, sums / np.where(bounding, determinant, 1.0), np.inf)
+        peak_x = np.minimum(peak_x, bounds.min(axis=1))
+    least_y = np.where(uses_y, -gamma + delta * peak_x[:, None], -np.inf).max(axis=1)
+    peak_y = np.clip(least_y, 0.0, table.y_cap)
+    return IntervalLines(table.length, alpha, beta, gamma, delta, peak_x, peak_y, table.y_cap)
+
+
+def mvc(a: Array, b: Array, limit: Array, x_cap: Array) -> Array:
+    """Largest squared speed at single points where some u satisfies |a u + b x| <= limit; (n, rows) -> (n,)."""
+    result = x_cap.copy()
+    rows = a.shape[1]
+    size_a = np.abs(a)
+    for i in range(rows - 1):
+        j = slice(i + 1, rows)
+        determinant = np.abs(a[:, i : i + 1] * b[:, j] - a[:, j] * b[:, i : i + 1])
+        sums = limit[:, i : i + 1] * size_a[:, j] + limit[:, j] * size_a[:, i : i + 1]
+        bounding = determinant * x_cap[:, None] > sums
+        result = np.minimum(result, np.where(bounding, sums / np.where(bounding, determinant, 1.0), np.inf).min(axis=1))
+    no_u = size_a == 0.0
+    alone = np.where(no_u & (b != 0.0), limit / np.where(b != 0.0, np.abs(b), 1.0), np.inf)
+    best: Array = np.minimum(result, alone.min(axis=1))
+    return best
+
+
+def backward_pass(lines: IntervalLines, last_x: float, first: int = 0, stop: int | None = None) -> Array:
+    """Largest squared speeds at grid points first..stop from which `last_x` at `stop` (or less) is reachable.
+
+    Returns (stop - first + 1,).
+    """
+    stop = len(lines.length) if stop is None else stop
+    reach = np.empty(stop - first + 1)
+    alpha, beta = lines.alpha, lines.beta
+    peak_x, peak_y = lines.peak_x.tolist(), lines.peak_y.tolist()
+    y_caps = lines.y_cap.tolist()
+    lowest = np.minimum.reduce
+    y = last_x
+    reach[-1] = min(y, y_caps[stop - 1]) if stop > first else y
+    for k in range(stop - 1, first - 1, -1):
+        y = min(y, y_caps[k])
+        if y >= peak_y[k]:
+            y = peak_x[k]
+        else:
+            x = float(lowest(alpha[k] + beta[k] * y))
+            y = min(max(x, 0.0), peak_x[k])
+        reach[k - first] = y
+    return reach
+
+
+def forward_pass(lines: IntervalLines, first_x: float, reach: Array, first: int = 0) -> Array:
+    """The fastest squared speeds from `first_x` at grid point `first` on that stay within `reach`; (len(reach),)."""
+    speeds = np.empty(len(reach))
+    gamma, delta = lines.gamma, lines.delta
+    bounds = reach.tolist()
+    lowest = np.minimum.reduce
+    x = min(first_x, bounds[0])
+    speeds[0] = x
+    for k in range(len(reach) - 1):
+        y = float(lowest(gamma[first + k] + delta[first + k] * x))
+        bound = bounds[k + 1]
+        x = bound if y >= bound else max(y, 0.0)
+        speeds[k + 1] = x
+    return speeds
+
+
+def fastest_speeds(lines: IntervalLines, first_x: float = 0.0, last_x: float = 0.0) -> Array:
+    """Squared path speeds at the grid points (n + 1,) of the fastest law from `first_x` to `last_x`."""
+    return forward_pass(lines, first_x, backward_pass(lines, last_x))
+
+
+def law_duration(length: Array, speeds: Array) -> float:
+    """Time in s that intervals of these lengths (n,) take at these squared speeds (n + 1,) of their ends."""
+    roots = np.sqrt(speeds)
+    return float(np.sum(2.0 * length / (roots[:-1] + roots[1:])))

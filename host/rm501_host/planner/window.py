@@ -1,0 +1,206 @@
+"""The look-ahead window: a path that grows at one end while its time law is committed at the other.
+
+The squared speeds that can still reach the end depend on what follows. So the backward pass is made twice, from two
+assumptions about the window's far end: that the path ends there (speed 0) and that it goes on as fast as the limits
+at that point allow. Where both give the same law, nothing that is added later can change it any more: that part is
+committed, and the speed never drops because of the window. Only where the window has grown to `most_intervals`
+without that happening is the careful law (the one that could stop at the end) taken for the first half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+
+from rm501_host.kinematics import Arm
+
+from .elements import Array, Element, ElementTable, Indices
+from .grid import Grid, GridBuilder
+from .law import PathLaw
+from .timelaw import IntervalLines, backward_pass, forward_pass, law_duration
+
+MOST_INTERVALS = 12_000
+"""Bound of the window; the spiral of 5000 lines of 0.2 mm at 100 mm/s needs about 1000."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """A committed part of the law: whether it starts and ends at rest, its elements in order."""
+
+    law: PathLaw
+    elements: tuple[Element, ...]
+    starts_at_rest: bool
+    ends_at_rest: bool
+
+
+class Window:
+    """Elements go in at one end (`extend`), the fastest law comes out at the other (`commit`, `finish`)."""
+
+    def __init__(self, arm: Arm, builder: GridBuilder, frame_s: float, *, most_intervals: int = MOST_INTERVALS) -> None:
+        self._arm = arm
+        self._builder = builder
+        self._frame_s = frame_s
+        self._committed_s = 0.0
+        self._most = most_intervals
+        self._elements: list[Element] = []
+        self._grid: Grid | None = None
+        self._first_x = 0.0
+        self._at_rest = True
+
+    @property
+    def intervals(self) -> int:
+        """Grid intervals not yet committed."""
+        return 0 if self._grid is None else len(self._grid)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing waits."""
+        return self._grid is None
+
+    def extend(self, elements: list[Element]) -> None:
+        """Add elements that join the last one smoothly; raises PlanError where they leave what the arm can do."""
+        if not elements:
+            return
+        table = ElementTable(elements)
+        grid = self._builder.build(table)
+        if self._grid is None:
+            self._grid, self._elements = grid, list(elements)
+            return
+        offset = len(self._elements)
+        old = self._grid
+        self._elements.extend(elements)
+        self._grid = Grid(
+            np.concatenate((old.element, grid.element + offset)),
+            np.concatenate((old.start, grid.start)),
+            np.concatenate((old.stop, grid.stop)),
+            _joined(old.lines, grid.lines),
+        )
+
+    def commit(self) -> Stretch | None:
+        """The part of the law that nothing added later can change, or None when that is too little yet."""
+        grid = self._grid
+        if grid is None:
+            return None
+        count = len(grid)
+        lines = grid.lines
+        careful = backward_pass(lines, 0.0)
+        hopeful = backward_pass(lines, float(lines.y_cap[-1]))
+        fixed = np.flatnonzero(hopeful - careful > 1e-12 * (hopeful + 1e-30))
+        settled = int(fixed[0]) - 1 if len(fixed) else count
+        speeds = forward_pass(lines, self._first_x, careful)
+        if settled < count:
+            # the law itself may not touch the bound that is still open: compare the laws, not only the bounds
+            other = forward_pass(lines, self._first_x, hopeful)
+            apart = np.flatnonzero(np.abs(other - speeds) > 1e-12 * (other + 1e-30))
+            settled = int(apart[0]) - 1 if len(apart) else count - 1
+        if settled < min(64, count - 1) or settled <= 0:
+            if count < self._most:
+                return None
+            settled = count // 2
+        return self._take(min(settled, count - 1), speeds, at_end=False)
+
+    def finish(self) -> Stretch | None:
+        """The rest of the law, ending at rest at the end of the last element, a whole number of frames after the
+        start of the first: the law is slowed down by less than one frame for that.
+        """
+        grid = self._grid
+        if grid is None:
+            return None
+        speeds = forward_pass(grid.lines, self._first_x, backward_pass(grid.lines, 0.0))
+        speeds[-1] = 0.0
+        duration = law_duration(grid.lines.length, speeds)
+        frames = ceil((self._committed_s + duration) / self._frame_s - 1e-7)
+        wanted = frames * self._frame_s - self._committed_s
+        if self._at_rest:
+            speeds *= (duration / wanted) ** 2
+        elif wanted - duration > 1e-10:
+            speeds = _delayed(grid.lines, speeds, wanted)
+        return self._take(len(grid), speeds, at_end=True)
+
+    def _take(self, count: int, speeds: Array, *, at_end: bool) -> Stretch:
+        grid = self._grid
+        assert grid is not None
+        last = int(grid.element[count - 1])
+        taken = self._elements[: last + 1]
+        law = PathLaw.from_speeds(
+            self._arm,
+            ElementTable(taken),
+            grid.element[:count],
+            grid.start[:count],
+            grid.stop[:count],
+            speeds[: count + 1],
+        )
+        stretch = Stretch(law, tuple(taken), self._at_rest, at_end)
+        self._committed_s += law.duration_s
+        if at_end:
+            self._grid, self._elements, self._first_x, self._at_rest = None, [], 0.0, True
+            self._committed_s = 0.0
+            return stretch
+        first: Indices = grid.element[count:]
+        low = int(first[0])
+        self._elements = self._elements[low:]
+        self._grid = Grid(first - low, grid.start[count:], grid.stop[count:], _sliced(grid.lines, count))
+        self._first_x = float(speeds[count])
+        self._at_rest = False
+        return stretch
+
+
+def _joined(first: IntervalLines, second: IntervalLines) -> IntervalLines:
+    return IntervalLines(
+        *(np.concatenate((getattr(first, name), getattr(second, name))) for name in IntervalLines.__dataclass_fields__)
+    )
+
+
+def _sliced(lines: IntervalLines, count: int) -> IntervalLines:
+    return IntervalLines(*(getattr(lines, name)[count:] for name in IntervalLines.__dataclass_fields__))
+
+
+def _delayed(lines: IntervalLines, speeds: Array, wanted_s: float) -> Array:
+    """The law made slower, to take `wanted_s`: one grid point near the end is passed less fast.
+
+    Only the last intervals are solved again; what comes before keeps its speed.
+    """
+    whole = law_duration(lines.length, speeds)
+    count = len(lines.length)
+    result = speeds
+    for tail in (256, 1024, 4096, count):
+        first = max(0, count - tail)
+        end = _sliced(lines, first)
+        before = whole - law_duration(end.length, speeds[first:])
+        dip = _fit_dip(end, speeds[first:], wanted_s - before)
+        if dip is not None:
+            return np.concatenate((speeds[:first], dip))
+        if first == 0:
+            break
+    return result
+
+
+def _fit_dip(lines: IntervalLines, speeds: Array, wanted_s: float) -> Array | None:
+    """Lower the cap of the fastest later grid point until the law takes `wanted_s`; None when the start forbids it."""
+    count = len(lines.length)
+    place = count // 4 + int(np.argmax(speeds[count // 4 : -1]))
+    if place < 1 or place >= count:
+        return None
+    low, high = 0.0, float(speeds[place])
+    best = speeds
+    for _ in range(60):
+        cap = 0.5 * (low + high)
+        caps = lines.y_cap.copy()
+        caps[place - 1] = cap
+        trial_lines = replace(lines, y_cap=caps)
+        reach = backward_pass(trial_lines, 0.0)
+        if reach[0] < speeds[0] * (1.0 - 1e-12):
+            low = cap
+            continue
+        best = forward_pass(trial_lines, float(speeds[0]), reach)
+        best[-1] = 0.0
+        excess = law_duration(lines.length, best) - wanted_s
+        if abs(excess) < 2e-10:
+            return best
+        if excess > 0.0:
+            low = cap
+        else:
+            high = cap
+    return best if abs(law_duration(lines.length, best) - wanted_s) < 1e-8 else None

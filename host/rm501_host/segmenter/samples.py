@@ -1,0 +1,86 @@
+"""The ideal law of one run from rest to rest, sampled on frames: what the segmenter fits."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rm501_host.planner.pieces import Piece
+
+from .motors import MotorMap
+
+Array = NDArray[np.float64]
+
+SAMPLE_FRAMES = 8
+"""2.56 ms. Between samples two curves with 3 x the acceleration limit's difference part by 0.02 step at most."""
+
+
+class Samples:
+    """Motor positions (steps) and speeds (steps/frame) of a run at rising frames, counted from its start.
+
+    Grows piece by piece (`extend`) and forgets what has been fitted (`drop_before`).
+    """
+
+    def __init__(self, motors: MotorMap, frame_s: float, start_s: float) -> None:
+        self._motors = motors
+        self._frame_s = frame_s
+        self.start_s = start_s
+        self.frames: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self.steps: Array = np.zeros((0, 5))
+        self.speeds: Array = np.zeros((0, 5))
+        self.is_kink: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self.is_complete = False
+
+    def extend(self, piece: Piece) -> None:
+        """Add the piece that follows; it starts where the samples end."""
+        assert piece.law is not None
+        first = piece.start_s - self.start_s
+        last = first + piece.duration_s
+        begin = int(np.ceil(first / self._frame_s - 1e-6))
+        end = round(last / self._frame_s) if piece.ends_at_rest else int(np.ceil(last / self._frame_s - 1e-6)) - 1
+        known = int(self.frames[-1]) if len(self.frames) else -1
+        grid = np.arange(-(-begin // SAMPLE_FRAMES) * SAMPLE_FRAMES, end + 1, SAMPLE_FRAMES, dtype=np.int64)
+        kinks = np.rint((piece.law.kinks_s() + first) / self._frame_s).astype(np.int64)
+        kinks = kinks[(kinks > max(begin, known)) & (kinks < end)]
+        edges = [begin] if not len(self.frames) else []
+        if piece.ends_at_rest:
+            edges.append(end)
+        fixed = np.unique(np.concatenate((_spread(kinks), np.array(edges, dtype=np.int64))))
+        frames = np.unique(np.concatenate((_away_from(grid, fixed), fixed)))
+        frames = frames[(frames > known) & (frames <= end)]
+        if len(frames):
+            q_deg, rates, _ = piece.states(frames * self._frame_s - first)
+            speeds = self._motors.steps(rates) * self._frame_s
+            if piece.ends_at_rest:
+                speeds[-1] = 0.0
+                q_deg[-1] = piece.rest_deg
+            self.frames = np.concatenate((self.frames, frames))
+            self.steps = np.concatenate((self.steps, self._motors.steps(q_deg)))
+            self.speeds = np.concatenate((self.speeds, speeds))
+            self.is_kink = np.concatenate((self.is_kink, np.isin(frames, kinks)))
+        self.is_complete = piece.ends_at_rest
+
+    def drop_before(self, index: int) -> None:
+        """Forget everything before a sample."""
+        self.frames = self.frames[index:]
+        self.steps = self.steps[index:]
+        self.speeds = self.speeds[index:]
+        self.is_kink = self.is_kink[index:]
+
+
+def _spread(frames: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rising frames without those that follow another within half a sample."""
+    if len(frames) < 2:
+        return frames
+    frames = np.unique(frames)
+    return frames[np.concatenate((np.array([True]), np.diff(frames) >= SAMPLE_FRAMES // 2))]
+
+
+def _away_from(frames: NDArray[np.int64], fixed: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those frames that are at least half a sample away from every fixed one."""
+    if not len(fixed) or not len(frames):
+        return frames
+    after = np.clip(np.searchsorted(fixed, frames), 0, len(fixed) - 1)
+    before = np.clip(after - 1, 0, len(fixed) - 1)
+    near = np.minimum(np.abs(fixed[after] - frames), np.abs(fixed[before] - frames))
+    return frames[near >= SAMPLE_FRAMES // 2]

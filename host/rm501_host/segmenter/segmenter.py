@@ -1,0 +1,307 @@
+"""Pieces of the ideal law in, exact integer segments out.
+
+Each segment starts at the exact position where the one before it ended (the mirror, in 2^-48 step), takes the ideal
+speed there, and runs as far as cubics stay within the tolerance of the ideal law: lengths are doubled until the fit
+fails, then halved in. Kinks of the law (jumps of acceleration) are tried as ends first, since a polynomial may lie on
+either side of one but not across.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rm501_host.config import Config
+from rm501_host.moves import Source
+from rm501_host.planner.errors import PlanError
+from rm501_host.planner.pieces import EventKind, Piece, PieceEvent
+from rm501_protocol.enums import SegmentFlag
+from rm501_protocol.segment import MAX_LENGTH_CUBIC_FRAMES, MAX_LENGTH_FRAMES, ONE_STEP, end_positions_q48
+from rm501_protocol.segment_message import MAX_EVENTS, MotorTerm, Segment, SegmentEvent, hand_event, output_event
+
+from .fit import Cubic, hermite, quadratic, to_wire
+from .motors import MotorMap
+from .samples import Samples
+from .slopes import Slopes
+
+Array = NDArray[np.float64]
+
+ROUNDING_STEPS = 0.011
+"""What the wire's rounding can add over a whole segment (design: the wire)."""
+START_TOLERANCE_STEPS = 1.0
+"""A plan that starts farther than this from where the board is belongs to another position."""
+RATIO = 1.018
+"""Largest acceleration of a segment's polynomial against the planning limits; the board refuses above 1.02."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedSegment:
+    """A segment and what belongs to it.
+
+    `start_frame`, `end_frame`: motion frames, 64 bits; `start_q48`, `end_q48`: exact positions of the six motors
+    there; `source`: the line that it belongs to at its start; `piece`: the piece of the ideal law, with
+    `piece_start_frame`, the motion frame at which that piece's time 0 lies (float: pieces end between frames);
+    `max_error_steps`: largest distance from the ideal law at the samples.
+    """
+
+    segment: Segment
+    start_frame: int
+    end_frame: int
+    start_q48: tuple[int, ...]
+    end_q48: tuple[int, ...]
+    source: Source
+    piece: Piece
+    piece_start_frame: float
+    max_error_steps: float
+    hold_slope_local: float
+    stop_slope_local: float
+
+
+class Segmenter:
+    """Turns pieces into segments, from any exact state of the mirror.
+
+    `start_steps48`: positions of the six motors (or the five of the arm) in 2^-48 step where motion stands now;
+    `start_frame`: the motion frame (64 bits) from which segments go on. Both follow the segments that are yielded.
+    """
+
+    def __init__(self, config: Config, start_steps48: Sequence[int], start_frame: int) -> None:
+        self._config = config
+        self._motors = MotorMap(config)
+        self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
+        self._tolerance = config.planner.tolerance_steps - ROUNDING_STEPS
+        self._positions = tuple(start_steps48)
+        self._frame = start_frame
+        self._guess = 64
+        self._speed = np.zeros(5)
+        self._slopes = Slopes(config, self._motors)
+
+    @property
+    def positions_q48(self) -> tuple[int, ...]:
+        """Where the segments made so far end, in 2^-48 step."""
+        return self._positions
+
+    @property
+    def frame(self) -> int:
+        """The motion frame at which the segments made so far end."""
+        return self._frame
+
+    def segments(self, pieces: Iterable[Piece]) -> Iterator[PlannedSegment]:
+        """Yield the segments of the pieces in order.
+
+        A segment is held back until what follows within the stop horizon is known, because its slopes depend on it.
+        Raises PlanError when the pieces do not start where the mirror is.
+        """
+        for planned in self._raw(pieces):
+            yield from self._slopes.add(planned)
+        yield from self._slopes.finish()
+
+    def _raw(self, pieces: Iterable[Piece]) -> Iterator[PlannedSegment]:
+        samples: Samples | None = None
+        run: list[Piece] = []
+        run_frame = self._frame
+        for piece in pieces:
+            if piece.law is None:
+                if piece.duration_s > 0.0:
+                    yield from self._still(piece)
+                continue
+            if samples is None:
+                samples = Samples(self._motors, self._frame_s, piece.start_s)
+                run_frame = self._frame
+                run = []
+                _, rates, _ = piece.states(np.zeros(1))
+                self._speed = self._motors.steps(rates)[0] * self._frame_s * (not piece.starts_at_rest)
+            samples.extend(piece)
+            run.append(piece)
+            yield from self._fit(samples, run, run_frame)
+            if piece.ends_at_rest:
+                samples = None
+
+    def _still(self, piece: Piece) -> Iterator[PlannedSegment]:
+        """A wait: segments without motors; events at their frames."""
+        frames = round(piece.duration_s / self._frame_s)
+        first = float(self._frame)
+        done = 0
+        while done < frames:
+            length = min(frames - done, MAX_LENGTH_FRAMES)
+            events = self._events(piece, done, length, 0.0)
+            segment = Segment(self._frame & 0xFFFFFFFF, length, (), SegmentFlag.ENDS_AT_REST, events=events)
+            yield self._made(segment, piece, first, piece.source, 0.0, (np.inf, np.inf))
+            done += length
+
+    def _events(self, piece: Piece, first: int, length: int, offset: float) -> tuple[SegmentEvent, ...]:
+        """Events of a piece whose frame lies in [first, first + length), `offset` being the piece's first frame."""
+        found = []
+        for event in piece.events:
+            frame = int(np.ceil(event.offset_s / self._frame_s + offset - 1e-6))
+            if first <= frame < first + length:
+                found.append(_wire_event(frame - first, event))
+        if len(found) > MAX_EVENTS:
+            raise PlanError(
+                f"more than {MAX_EVENTS} output changes at one place", source=piece.source, remedy="spread them"
+            )
+        return tuple(found)
+
+    def _fit(self, samples: Samples, run: list[Piece], run_frame: int) -> Iterator[PlannedSegment]:
+        """Fit what the samples hold; the last stretch waits for more unless the run is complete."""
+        if len(samples.frames) and self._frame == run_frame:
+            apart = np.abs(self._steps_now() - samples.steps[0])
+            if float(apart.max()) > START_TOLERANCE_STEPS:
+                motor = int(np.argmax(apart))
+                raise PlanError(
+                    f"motor {motor} is {float(apart[motor]):.2f} steps away from where the plan starts",
+                    source=run[0].source,
+                    remedy="plan again from the position that the board reports",
+                )
+        at = 0
+        while at < len(samples.frames) - 1:
+            chosen = self._longest(samples, at)
+            if chosen is None:
+                break
+            end, cubic, terms, error = chosen
+            yield self._emit(samples, run, run_frame, at, end, cubic, terms, error)
+            self._speed = cubic.end_speed(int(samples.frames[end] - samples.frames[at]))
+            at = end
+        samples.drop_before(at)
+
+    def _steps_now(self) -> Array:
+        return np.array([position / ONE_STEP for position in self._positions[:5]])
+
+    def _longest(self, samples: Samples, at: int) -> tuple[int, Cubic, tuple[MotorTerm, ...], float] | None:
+        """The farthest end that fits, with its polynomial; None when more samples have to come first."""
+        last = len(samples.frames) - 1
+        low, best = at, None
+        step = max(1, self._guess)
+        high = None
+        while high is None:
+            end = min(at + step, last)
+            fitted = self._try(samples, at, end)
+            if fitted is None:
+                high = end
+            else:
+                low, best = end, fitted
+                if end == last:
+                    break
+                step *= 2
+        if high is None:
+            if not samples.is_complete:
+                return None
+        else:
+            while high - low > 1:
+                inside = np.flatnonzero(samples.is_kink[low + 1 : high])
+                middle = low + 1 + int(inside[-1]) if len(inside) else (low + high) // 2
+                fitted = self._try(samples, at, middle)
+                if fitted is None:
+                    high = middle
+                else:
+                    low, best = middle, fitted
+        if best is None:
+            low, best = self._shortest(samples, at)
+        self._guess = max(1, low - at)
+        return low, *best
+
+    def _shortest(self, samples: Samples, at: int) -> tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]]:
+        """Where the law bends sharply between two samples: the next end that a segment can say at all."""
+        for end in range(at + 1, min(at + 5, len(samples.frames))):
+            fitted = self._try(samples, at, end, forced=True)
+            if fitted is not None:
+                return end, fitted
+        raise PlanError("a motor would have to accelerate faster than a segment can say")
+
+    def _try(
+        self, samples: Samples, at: int, end: int, *, forced: bool = False
+    ) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
+        frames = int(samples.frames[end] - samples.frames[at])
+        if frames > MAX_LENGTH_CUBIC_FRAMES:
+            return None
+        start = self._steps_now()
+        target = samples.steps[end]
+        inner = (samples.frames[at + 1 : end] - samples.frames[at]).astype(np.float64)
+        ideal = samples.steps[at + 1 : end]
+        last_speed = samples.speeds[end]
+        best: tuple[Cubic, float] | None = None
+        for cubic in (
+            quadratic(target - start, self._speed, frames),
+            hermite(target - start, self._speed, last_speed, frames),
+        ):
+            if not forced and float(np.abs(cubic.end_speed(frames) - last_speed).max()) > 2e-7:
+                continue
+            error = float(np.abs(cubic.offsets(inner) + start - ideal).max(initial=0.0))
+            if error > self._tolerance:
+                continue
+            accelerations = np.stack((2.0 * cubic.c, 2.0 * cubic.c + 6.0 * frames * cubic.d))
+            if not forced and self._motors.acceleration_ratio(accelerations) > RATIO:
+                continue
+            best = (cubic, error)
+            break
+        if best is None:
+            return None
+        terms = to_wire(best[0], self._positions, target, frames)
+        return None if terms is None else (best[0], terms, best[1])
+
+    def _emit(
+        self,
+        samples: Samples,
+        run: list[Piece],
+        run_frame: int,
+        at: int,
+        end: int,
+        cubic: Cubic,
+        terms: tuple[MotorTerm, ...],
+        error: float,
+    ) -> PlannedSegment:
+        frames = int(samples.frames[end] - samples.frames[at])
+        flags = SegmentFlag.NONE
+        if any(term.j for term in terms):
+            flags |= SegmentFlag.CUBIC
+        if samples.is_complete and end == len(samples.frames) - 1:
+            flags |= SegmentFlag.ENDS_AT_REST
+        first_s = int(samples.frames[at]) * self._frame_s + run[0].start_s
+        while len(run) > 1 and first_s >= run[0].end_s - 1e-9:
+            run_frame_s = run.pop(0)
+            del run_frame_s
+        piece = run[0]
+        origin = self._origin(piece, samples, run_frame)
+        offset = origin - self._frame
+        events = (
+            tuple(
+                event
+                for candidate in run
+                for event in self._events(candidate, 0, frames, offset if candidate is piece else np.inf)
+            )
+            if any(candidate.events for candidate in run)
+            else ()
+        )
+        segment = Segment(self._frame & 0xFFFFFFFF, frames, terms, flags, events=events)
+        within = np.array([(self._frame - origin) * self._frame_s])
+        line = int(piece.lines(np.clip(within, 0.0, None))[0])
+        source = replace(piece.source, line=line) if line != piece.source.line else piece.source
+        slopes = self._slopes.local(cubic, frames)
+        return self._made(segment, piece, origin, source, error, slopes)
+
+    def _origin(self, piece: Piece, samples: Samples, run_frame: int) -> float:
+        return run_frame + (piece.start_s - samples.start_s) / self._frame_s
+
+    def _made(
+        self,
+        segment: Segment,
+        piece: Piece,
+        origin: float,
+        source: Source,
+        error: float,
+        slopes: tuple[float, float],
+    ) -> PlannedSegment:
+        start, first = self._positions, self._frame
+        self._positions = end_positions_q48(start, segment)
+        self._frame = first + segment.length_frames
+        return PlannedSegment(
+            segment, first, self._frame, start, self._positions, source, piece, origin, error, slopes[0], slopes[1]
+        )
+
+
+def _wire_event(offset_frames: int, event: PieceEvent) -> SegmentEvent:
+    if event.kind is EventKind.HAND:
+        return hand_event(offset_frames, event.value)
+    return output_event(offset_frames, event.mask, event.levels)
