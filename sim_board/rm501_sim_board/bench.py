@@ -21,10 +21,12 @@ from rm501_sim_board.errors import BenchConfigError
 from rm501_sim_board.geometry import JOINT_COUNT, Joint
 from rm501_sim_board.hand import Hand
 from rm501_sim_board.ideal_plant import IdealPlant
+from rm501_sim_board.loads import ArmLoads
 from rm501_sim_board.plant import NEVER_FRAMES, FrameClock, Plant
 from rm501_sim_board.presets import BenchParameters
 from rm501_sim_board.randomness import stream
 from rm501_sim_board.recording import DEFAULT_KEEP_WORDS, Recording
+from rm501_sim_board.servo_plant import ServoPlant
 from rm501_sim_board.switches import Switch
 from rm501_sim_board.wiring import Terminal, Wire, Wiring, WordArray
 
@@ -83,6 +85,7 @@ class Bench:
         self.seed = seed
         self.clock = clock or FrameClock(40, 8)
         self.boards = boards or DriverBoards(wiring or standard_wiring())
+        self._nominal_bus = self.boards.wiring == standard_wiring()
         self.recording = Recording(self.clock.periods_per_frame, keep_words)
         self.hand = Hand(parameters.hand)
         self.plant: Plant = self._build_plant()
@@ -91,6 +94,7 @@ class Bench:
             for joint, p in zip(Joint, parameters.switches, strict=True)
         )
         self.heartbeat_edges = 0
+        self._relay = Terminal.MOTOR_POWER not in self.boards.wiring.wires
         self.on_settle: list[Callable[[int], None]] = []
         self._pressed: set[InputId] = set()
         self._forced: dict[InputId, bool] = {}
@@ -105,13 +109,13 @@ class Bench:
 
     # ------------------------------------------------------------ the microcontroller's side
 
-    def write_frame(self, frame: int, words: Sequence[int] | npt.NDArray[np.integer]) -> None:
-        """Port words of one frame, one per base period."""
-        self.write_block(frame, words)
+    def write_frame(self, frame: int, words: Sequence[int]) -> None:
+        """Port words of one frame, one per base period; copied."""
+        self.write_block(frame, np.array(words, dtype=np.uint32))
 
-    def write_block(self, first_frame: int, words: Sequence[int] | npt.NDArray[np.integer]) -> None:
+    def write_block(self, first_frame: int, words: npt.NDArray[np.uint32]) -> None:
         """Port words of whole frames, in order; a gap is a bug in the microcontroller's model."""
-        block = np.array(words, dtype=np.uint32)
+        block = np.asarray(words, dtype=np.uint32).reshape(-1)
         expected = self._decoded_periods + self._pending_words
         if first_frame * self.clock.periods_per_frame != expected:
             raise BenchConfigError(
@@ -211,14 +215,30 @@ class Bench:
     # ------------------------------------------------------------ internal
 
     def _build_plant(self) -> Plant:
-        wires = self.boards.wiring.wires
-        return IdealPlant(
-            self.parameters.drive_train,
+        parameters = self.parameters
+        power_fitted = Terminal.MOTOR_POWER in self.boards.wiring.wires
+        # A step needs two latches. Each register is latched once a frame, or at every strobe when selects are wrong.
+        fastest = 0.5 if self._nominal_bus else self.clock.periods_per_frame / 4
+        if parameters.servos is None:
+            return IdealPlant(
+                parameters.drive_train,
+                self.clock,
+                parameters.start_deg,
+                power_fitted=power_fitted,
+                max_steps_per_frame=fastest,
+                counter_limit_steps=parameters.counter_limit_steps,
+            )
+        geometry = parameters.geometry
+        return ServoPlant(
+            parameters.drive_train,
             self.clock,
-            self.parameters.start_deg,
-            power_fitted=Terminal.MOTOR_POWER in wires,
-            max_steps_per_frame=self.clock.periods_per_frame / 4,
-            counter_limit_steps=self.parameters.counter_limit_steps,
+            parameters.start_deg,
+            parameters.servos,
+            ArmLoads(parameters.masses, geometry.a2_mm, geometry.a3_mm, geometry.d5_mm),
+            seed=self.seed,
+            power_fitted=power_fitted,
+            max_steps_per_frame=fastest,
+            counter_limit_steps=parameters.counter_limit_steps,
         )
 
     def _decode(self) -> None:
@@ -235,10 +255,23 @@ class Bench:
         self.plant.feed(activity)
 
     def _drive_hand(self, activity: BusActivity) -> None:
+        """Power pulses in their order of time, between changes of power; a changed load goes to the plant."""
         pulses = activity.steps[5]
-        if pulses.periods.size and self.plant.powered:
-            for sign in pulses.signs.tolist():
-                self.hand.pulse(sign)
+        changes = activity.motor_power
+        if not pulses.periods.size:
+            if changes.periods.size:
+                self._relay = bool(changes.levels[-1])
+            return
+        events = [(p, 1, s) for p, s in zip(pulses.periods.tolist(), pulses.signs.tolist(), strict=True)]
+        events += [(p, 0, int(v)) for p, v in zip(changes.periods.tolist(), changes.levels.tolist(), strict=True)]
+        for period, kind, value in sorted(events):
+            if kind == 0:
+                self._relay = bool(value)
+            elif self._relay and not self.plant.estop_open:
+                before = self.hand.payload_kg
+                self.hand.pulse(value)
+                if self.hand.payload_kg != before:
+                    self.plant.change_payload(period, self.hand.payload_kg)
 
     def _sense(self, frame: int) -> None:
         active = self._active

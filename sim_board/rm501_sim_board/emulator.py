@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rm501_firmware_model import Board, FastBoard
+import rm501_firmware_model
+from rm501_firmware_model import Board
 from rm501_protocol.board_config import OUTPUT_LINES, RM501_BOARD
 from rm501_sim_board.bench import Bench, Truth
 from rm501_sim_board.plant import FrameClock
@@ -21,7 +22,7 @@ from rm501_sim_board.randomness import stream
 from rm501_sim_board.recording import DEFAULT_KEEP_WORDS, Recording
 from rm501_sim_board.wiring import WordArray
 
-_BOARDS: dict[str, type[Board] | type[FastBoard]] = {"fast": FastBoard, "reference": Board}
+_BOARDS: dict[str, type[Board]] = {"fast": getattr(rm501_firmware_model, "FastBoard", Board), "reference": Board}
 
 # Ports with pull-ups: every pin high while the microcontroller is in reset.
 FLOATING_WORD = sum(1 << line.bit for line in OUTPUT_LINES if line.inverted)
@@ -49,7 +50,7 @@ class _PinsSinceBoot:
 
     def write_frame(self, frame: int, words: Sequence[int]) -> None:
         """Port words of one frame."""
-        self._bench.write_block(self._first_frame + frame, words)
+        self._bench.write_frame(self._first_frame + frame, words)
 
     def write_block(self, first_frame: int, words: WordArray) -> None:
         """Port words of whole frames."""
@@ -120,7 +121,7 @@ class Emulator:
         self._first_frame = now + dark_frames
         self.board = self._boot()
 
-    def _boot(self) -> Board | FastBoard:
+    def _boot(self) -> Board:
         pins = _PinsSinceBoot(self.bench, self._first_frame)
         epoch = int(self._boots.integers(1, 1 << 32))
         return _BOARDS[self.options.firmware](RM501_BOARD, pins, epoch)

@@ -113,6 +113,9 @@ class IdealPlant:
         """Take a decoded block."""
         self._pending.append(activity)
 
+    def change_payload(self, period: int, payload_kg: float) -> None:
+        """Motors without limits do not feel a load."""
+
     def advance(self, frame: int) -> None:
         """Bring the state to the start of `frame`."""
         for activity in self._pending:

@@ -73,6 +73,9 @@ class Plant(Protocol):
     def feed(self, activity: BusActivity) -> None:
         """Take what the boards latched; blocks arrive in order."""
 
+    def change_payload(self, period: int, payload_kg: float) -> None:
+        """The hand has taken or let go a load at a base period."""
+
     def advance(self, frame: int) -> None:
         """Bring the state to the start of real `frame`; everything up to there has been fed."""
 

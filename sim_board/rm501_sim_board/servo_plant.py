@@ -1,0 +1,340 @@
+"""Five servo axes carrying the arm: the plant of the presets `real` and `harsh`.
+
+Time runs on two fixed grids from power-up: the loops are sampled every `SAMPLE_FRAMES` frames, gravity, inertia and
+friction are renewed every `SAMPLES_PER_LOAD` samples. Gravity is extrapolated to the middle of that interval from the
+last two, so the error is of second order in its length; `docs/sim-board.md` states it, the tests check it against a
+fine integration. Because both grids are absolute, the result does not depend on how the run was cut into blocks.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from rm501_sim_board.driver_boards import MOTORS_OF_BOARD, Board, BusActivity, IntArray
+from rm501_sim_board.geometry import ARM_MOTOR_COUNT, END_STOPS, DriveTrain, FloatArray, Joint, Motor
+from rm501_sim_board.loads import ArmLoads, JointLoads
+from rm501_sim_board.plant import DEFAULT_COUNTER_LIMIT_STEPS, Disturbances, FrameClock, MotorTrace
+from rm501_sim_board.randomness import stream
+from rm501_sim_board.servo import LEAST_FRICTION_FACTOR, ServoAxis, ServoParameters
+
+SAMPLE_FRAMES = 3  # 0.96 ms at 320 us
+SAMPLES_PER_LOAD = 8  # 7.68 ms
+# How near to a stop, in deg, the coupled wrist motors are watched sample by sample.
+_WATCH_DEG = 1.5
+_NOISE_CHUNK = 1024
+# Friction wanders with this correlation from one load interval to the next: 0.5 s.
+_FRICTION_MEMORY = 0.985
+
+
+class _Change(IntEnum):
+    """Events on the plant's own clock, in the order in which they act within a sample."""
+
+    POWER = 0
+    MASTER_RESET = 1
+    PAYLOAD = 2
+
+
+@dataclass(slots=True)
+class _Pending:
+    """Steps of one motor not yet reached by the grid."""
+
+    periods: list[IntArray] = field(default_factory=list)
+    signs: list[IntArray] = field(default_factory=list)
+
+
+class _FrictionNoise:
+    """Relative friction of one motor per load interval: a seeded, clipped first-order wander."""
+
+    def __init__(self, seed: int, motor: int, scatter: float) -> None:
+        self._rng = stream(seed, f"friction {motor}")
+        self._scatter = scatter
+        self._last = 0.0
+        self._factors: list[float] = []
+
+    def factor(self, interval: int) -> float:
+        if not self._scatter:
+            return 1.0
+        while interval >= len(self._factors):
+            drive = self._scatter * (1.0 - _FRICTION_MEMORY**2) ** 0.5
+            for draw in self._rng.standard_normal(_NOISE_CHUNK).tolist():
+                self._last = _FRICTION_MEMORY * self._last + drive * draw
+                self._factors.append(min(max(1.0 + self._last, LEAST_FRICTION_FACTOR), 2.0 - LEAST_FRICTION_FACTOR))
+        return self._factors[interval]
+
+
+class ServoPlant:
+    """Motors, gears and arm with dynamics."""
+
+    def __init__(
+        self,
+        drive_train: DriveTrain,
+        clock: FrameClock,
+        start_deg: tuple[float, ...],
+        servos: tuple[ServoParameters, ...],
+        loads: ArmLoads,
+        *,
+        seed: int,
+        power_fitted: bool,
+        max_steps_per_frame: float,
+        counter_limit_steps: int = DEFAULT_COUNTER_LIMIT_STEPS,
+    ) -> None:
+        self.drive_train = drive_train
+        self.disturbances = Disturbances()
+        self.estop_open = False
+        self._clock = clock
+        self._loads = loads
+        self._limit = counter_limit_steps
+        self._max_steps_per_frame = max_steps_per_frame
+        self._power_fitted = power_fitted
+        self._relay = not power_fitted
+        # The arm stands on its transport prop until power comes for the first time.
+        self._propped = power_fitted
+        step_s = SAMPLE_FRAMES * clock.frame_us * 1e-6
+        self._to_joint = tuple(tuple(row) for row in drive_train.joints_from_steps().tolist())
+        start_steps = (drive_train.steps_from_joints() @ np.asarray(start_deg)).tolist()
+        self.axes = tuple(
+            ServoAxis(p, s, counter_limit_steps, step_s) for p, s in zip(servos, start_steps, strict=True)
+        )
+        self._noise = tuple(_FrictionNoise(seed, m, p.friction_scatter) for m, p in enumerate(servos))
+        frame_s = clock.frame_us * 1e-6
+        self._top_steps_per_frame = max(axis.top_speed_steps_s for axis in self.axes) * frame_s
+        self._joint_bounds = tuple(
+            sum(abs(e) * axis.top_speed_steps_s * frame_s for e, axis in zip(row, self.axes, strict=True))
+            + 0.25 * frame_s  # wind-up of the links
+            for row in self._to_joint
+        )
+        self._ends = tuple(self._ends_of(motor) for motor in range(ARM_MOTOR_COUNT))
+        self._start_steps = start_steps
+        self._links: list[float] = list(start_steps)
+        self._fed = [0] * ARM_MOTOR_COUNT
+        self._grid_command = [0] * ARM_MOTOR_COUNT
+        self._pending = tuple(_Pending() for _ in range(ARM_MOTOR_COUNT))
+        self._changes: list[tuple[int, _Change, float]] = []
+        self._sample = 0
+        self._gravity_nm = [0.0] * ARM_MOTOR_COUNT
+        self._gravity_before_nm: list[float] | None = None
+        self._inertia_kg_m2 = [0.0] * ARM_MOTOR_COUNT
+        self._factor = [1.0] * ARM_MOTOR_COUNT
+        self._near_wrist_stop = False
+        self._payload_kg = 0.0
+        self._link_log = tuple(array("d") for _ in range(ARM_MOTOR_COUNT))
+        self._encoder_log = tuple(array("d") for _ in range(ARM_MOTOR_COUNT))
+        self._command_log = tuple(array("q") for _ in range(ARM_MOTOR_COUNT))
+
+    # ------------------------------------------------------------ what the bench sees
+
+    @property
+    def powered(self) -> bool:
+        """Whether the motors have power."""
+        return self._relay and not self.estop_open and not self.disturbances.relay_forced_open
+
+    @property
+    def commanded_steps(self) -> tuple[int, ...]:
+        """Steps counted from the pins since power-up."""
+        return tuple(self._fed)
+
+    @property
+    def counter_error_steps(self) -> tuple[int, ...]:
+        """Contents of the up/down counters."""
+        return tuple(round(axis.content(n)) for axis, n in zip(self.axes, self._grid_command, strict=True))
+
+    @property
+    def overflowed(self) -> tuple[int, ...]:
+        """Motors whose counter has overflowed."""
+        return tuple(motor for motor, axis in enumerate(self.axes) if axis.overflowed)
+
+    @property
+    def joint_deg(self) -> tuple[float, ...]:
+        """True joint angles, DH deg: where the links are."""
+        slip = self.disturbances.slip_steps
+        a, b, c, d, e = (link + lost for link, lost in zip(self._links, slip, strict=True))
+        return tuple(r[0] * a + r[1] * b + r[2] * c + r[3] * d + r[4] * e for r in self._to_joint)
+
+    def overflow_line(self, board: Board) -> bool:
+        """Whether the board raises OVERFLOW."""
+        return any(self.axes[motor].overflowed for motor in MOTORS_OF_BOARD[board])
+
+    def steady_frames(self) -> int:
+        """Frames for which no overflow line can change."""
+        if any(axis.overflowed for axis in self.axes):
+            return 1
+        fullest = max(abs(axis.content(n)) for axis, n in zip(self.axes, self._grid_command, strict=True))
+        fastest = self._max_steps_per_frame + self._top_steps_per_frame
+        # Steps fed but not yet on the sample grid count against the margin too.
+        late = self._max_steps_per_frame * SAMPLE_FRAMES
+        return max(1, int((self._limit - fullest - late) / fastest) - SAMPLE_FRAMES)
+
+    def joint_speed_bounds_deg_per_frame(self) -> tuple[float, ...]:
+        """Bound of each joint's speed: no motor turns faster than its no-load speed."""
+        return self._joint_bounds
+
+    def trace(self) -> MotorTrace:
+        """Link positions at the end of every sample since power-up."""
+        count = len(self._link_log[0])
+        frames = (np.arange(count, dtype=np.int64) + 1) * SAMPLE_FRAMES
+        return MotorTrace(
+            frames,
+            np.stack([np.array(log, dtype=np.float64) for log in self._command_log], axis=1),
+            np.stack([np.array(log, dtype=np.float64) for log in self._link_log], axis=1),
+        )
+
+    # ------------------------------------------------------------ input
+
+    def feed(self, activity: BusActivity) -> None:
+        """Take a decoded block."""
+        for motor, steps in enumerate(activity.steps[:ARM_MOTOR_COUNT]):
+            if steps.periods.size:
+                self._pending[motor].periods.append(steps.periods)
+                self._pending[motor].signs.append(steps.signs)
+                self._fed[motor] += int(steps.signs.sum())
+        for changes, kind in ((activity.motor_power, _Change.POWER), (activity.master_reset, _Change.MASTER_RESET)):
+            for period, level in zip(changes.periods.tolist(), changes.levels.tolist(), strict=True):
+                self._changes.append((period, kind, float(level)))
+
+    def change_payload(self, period: int, payload_kg: float) -> None:
+        """The hand has taken or let go a load at a base period."""
+        self._changes.append((period, _Change.PAYLOAD, payload_kg))
+
+    # ------------------------------------------------------------ motion
+
+    def advance(self, frame: int) -> None:
+        """Run all samples that end at or before the start of `frame`."""
+        first, target = self._sample, frame // SAMPLE_FRAMES
+        if target <= first:
+            return
+        commands = [self._commands_on_grid(motor, first, target) for motor in range(ARM_MOTOR_COUNT)]
+        self._changes.sort()
+        sample = first
+        while sample < target:
+            end = min(target, (sample // SAMPLES_PER_LOAD + 1) * SAMPLES_PER_LOAD)
+            end = self._apply_changes(sample, end, commands, first)
+            if sample % SAMPLES_PER_LOAD == 0:
+                self._renew_loads(sample // SAMPLES_PER_LOAD)
+            elif self._near_wrist_stop:
+                end = sample + 1
+            self._run(sample, sample + 1 if self._near_wrist_stop else end, commands, first)
+            sample = self._sample
+        for motor in range(ARM_MOTOR_COUNT):
+            self._command_log[motor].extend(commands[motor][1:])
+            self._grid_command[motor] = commands[motor][-1]
+
+    def _commands_on_grid(self, motor: int, first: int, target: int) -> list[int]:
+        """Steps commanded at the start of samples first..target (inclusive), since power-up."""
+        pending = self._pending[motor]
+        base = self._grid_command[motor]
+        if not pending.periods:
+            return [base] * (target - first + 1)
+        periods = pending.periods[0] if len(pending.periods) == 1 else np.concatenate(pending.periods)
+        signs = pending.signs[0] if len(pending.signs) == 1 else np.concatenate(pending.signs)
+        per_sample = SAMPLE_FRAMES * self._clock.periods_per_frame
+        grid = np.arange(first, target + 1, dtype=np.int64) * per_sample
+        index = np.searchsorted(periods, grid, side="left")
+        sums = np.concatenate(([0], np.cumsum(signs)))
+        used = int(index[-1])
+        pending.periods = [periods[used:]] if used < len(periods) else []
+        pending.signs = [signs[used:]] if used < len(signs) else []
+        out: list[int] = (sums[index] + base).tolist()
+        return out
+
+    def _apply_changes(self, sample: int, end: int, commands: list[list[int]], first: int) -> int:
+        """Let events up to the start of `sample` act; returns where the next one cuts the run."""
+        per_sample = SAMPLE_FRAMES * self._clock.periods_per_frame
+        changes = self._changes
+        while changes and changes[0][0] <= sample * per_sample:
+            _, kind, value = changes.pop(0)
+            if kind is _Change.POWER:
+                self._relay = bool(value) or not self._power_fitted
+                self._propped = self._propped and not self._relay
+            elif kind is _Change.PAYLOAD:
+                self._payload_kg = value
+            elif value:
+                for motor, axis in enumerate(self.axes):
+                    axis.clear_counter(commands[motor][sample - first])
+        if changes:
+            end = min(end, -(-changes[0][0] // per_sample))
+        return end
+
+    def _renew_loads(self, interval: int) -> None:
+        angles = self.joint_deg
+        loads = self._loads.at(angles, self._payload_kg + self.disturbances.payload_kg)
+        now = self._motor_torques(loads)
+        before = self._gravity_before_nm or now
+        self._gravity_before_nm = now
+        disturbance = self.disturbances.load_torque_nm
+        self._gravity_nm = [g + 0.5 * (g - b) + d for g, b, d in zip(now, before, disturbance, strict=True)]
+        wrist_j = 0.25 * loads.pitch_kg_m2
+        self._inertia_kg_m2 = [loads.waist_kg_m2, loads.shoulder_kg_m2, loads.elbow_kg_m2, wrist_j, wrist_j]
+        self._factor = [noise.factor(interval) for noise in self._noise]
+        self._near_wrist_stop = any(
+            not END_STOPS[j].low_deg + _WATCH_DEG < angles[j] < END_STOPS[j].high_deg - _WATCH_DEG
+            for j in (Joint.PITCH, Joint.ROLL)
+        )
+
+    def _motor_torques(self, loads: JointLoads) -> list[float]:
+        """Torque that each motor must hold, by virtual work; motor angles in degrees of their own."""
+        per_deg = self.drive_train.steps_per_deg
+        held = (0.0, loads.shoulder_nm, loads.elbow_nm, loads.pitch_nm, 0.0)
+        return [
+            sum(held[j] * self._to_joint[j][m] for j in (Joint.SHOULDER, Joint.ELBOW, Joint.PITCH)) * per_deg[m]
+            for m in range(ARM_MOTOR_COUNT)
+        ]
+
+    def _run(self, sample: int, end: int, commands: list[list[int]], first: int) -> None:
+        powered, stalled = self.powered, self.disturbances.stalled
+        count = end - sample
+        for motor, axis in enumerate(self.axes):
+            part = commands[motor][sample - first : end - first]
+            gravity = self._gravity_nm[motor]
+            held = motor in stalled or self._propped
+            links, encoders = self._link_log[motor], self._encoder_log[motor]
+            if part[0] == part[-1] and axis.at_rest(part[0], gravity, powered, held) and len(set(part)) == 1:
+                link = axis.rest(gravity, self._factor[motor])
+                links.extend([link] * count)
+                encoders.extend([axis.encoder_steps()] * count)
+            else:
+                low, high = self._ends[motor]
+                axis.advance(
+                    part,
+                    gravity,
+                    self._inertia_kg_m2[motor],
+                    self._factor[motor],
+                    powered,
+                    held,
+                    low,
+                    high,
+                    links,
+                    encoders,
+                )
+            self._links[motor] = links[-1]
+        self._sample = end
+        if self._near_wrist_stop:
+            self._hold_wrist_in_range()
+
+    def _hold_wrist_in_range(self) -> None:
+        """Pitch and roll stops act on both wrist motors at once: put both back onto the stop, at rest."""
+        angles = self.joint_deg
+        out = self.drive_train.steps_from_joints()
+        for joint in (Joint.PITCH, Joint.ROLL):
+            stop = END_STOPS[joint]
+            beyond = angles[joint] - min(max(angles[joint], stop.low_deg), stop.high_deg)
+            if beyond:
+                for motor in (Motor.RIGHT_WRIST, Motor.LEFT_WRIST):
+                    shift = float(out[motor, joint]) * beyond
+                    axis = self.axes[motor]
+                    axis.displace(axis.position_steps - shift)
+                    axis.link_steps -= shift
+                    self._links[motor] -= shift
+                    self._link_log[motor][-1] -= shift
+
+    def _ends_of(self, motor: int) -> tuple[float, float]:
+        """Ends of a motor's travel where one joint alone sets them; the wrist's are watched apart."""
+        if motor in (Motor.RIGHT_WRIST, Motor.LEFT_WRIST):
+            return -1e9, 1e9
+        out: FloatArray = self.drive_train.steps_from_joints()
+        stop = END_STOPS[motor]
+        ends = (float(out[motor, motor]) * stop.low_deg, float(out[motor, motor]) * stop.high_deg)
+        return min(ends), max(ends)
