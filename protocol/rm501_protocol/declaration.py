@@ -9,13 +9,15 @@ known field are ignored.
 from __future__ import annotations
 
 import dataclasses
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from operator import attrgetter
 from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 from .errors import DecodeError, FieldRangeError
-from .wire_types import WireType
+from .wire_types import Scalar, WireType
 
 __all__ = ["Direction", "Field", "Message", "decode_payload", "encode_payload", "fields_of", "message", "registry"]
 
@@ -69,6 +71,7 @@ class CustomPayload:
 _M = TypeVar("_M", bound=type[Message])
 _registry: dict[int, type[Message]] = {}
 _fields: dict[type[Message], tuple[Field, ...]] = {}
+_steps: dict[type[Message], tuple[_Step, ...]] = {}
 
 
 def message(message_id: int, direction: Direction, *, sequenced: bool, urgent: bool = False) -> Callable[[_M], _M]:
@@ -113,6 +116,44 @@ def fields_of(cls: type[Message]) -> tuple[Field, ...]:
     return _fields[cls]
 
 
+class _Step:
+    """A stretch of a payload: neighbouring scalars in one struct, or one field of any other type."""
+
+    __slots__ = ("converters", "field", "get", "packed")
+
+    def __init__(self, run: list[Field]) -> None:
+        self.field = run[0]
+        self.packed: struct.Struct | None = None
+        if isinstance(self.field.wire, Scalar) and self.field.wire.PACKS:
+            self.packed = struct.Struct("<" + "".join(_scalar(field).FORMAT for field in run))
+        names = [field.name for field in run]
+        get = attrgetter(*names)
+        self.get: Callable[[Any], Any] = get if len(names) > 1 else lambda value: (get(value),)
+        self.converters = tuple((place, field.enum) for place, field in enumerate(run) if field.enum is not None)
+
+
+def _scalar(field: Field) -> Scalar:
+    assert isinstance(field.wire, Scalar)
+    return field.wire
+
+
+def _steps_of(cls: type[Message]) -> tuple[_Step, ...]:
+    known = _steps.get(cls)
+    if known is not None:
+        return known
+    runs: list[list[Field]] = []
+    joinable = False
+    for field in fields_of(cls):
+        packs = isinstance(field.wire, Scalar) and field.wire.PACKS
+        if packs and joinable:
+            runs[-1].append(field)
+        else:
+            runs.append([field])
+        joinable = packs
+    _steps[cls] = tuple(_Step(run) for run in runs)
+    return _steps[cls]
+
+
 def encode_payload(value: Message) -> bytes:
     """The payload of `value`; raises FieldRangeError naming message, field, value and range."""
     out = bytearray()
@@ -120,13 +161,26 @@ def encode_payload(value: Message) -> bytes:
         value.encode_into(out)
         return bytes(out)
     cls = type(value)
-    for field in fields_of(cls):
+    try:
+        for step in _steps_of(cls):
+            if step.packed is not None:
+                out += step.packed.pack(*step.get(value))
+            else:
+                step.field.wire.encode(getattr(value, step.field.name), out)
+    except (ValueError, struct.error):
+        _name_the_culprit(value)
+        raise
+    return bytes(out)
+
+
+def _name_the_culprit(value: Message) -> None:
+    """Raise FieldRangeError for the first field of `value` that does not fit."""
+    for field in fields_of(type(value)):
         item = getattr(value, field.name)
         try:
-            field.wire.encode(item, out)
+            field.wire.encode(item, bytearray())
         except ValueError as error:
-            raise FieldRangeError(cls.__name__, field.name, item, str(error)) from None
-    return bytes(out)
+            raise FieldRangeError(type(value).__name__, field.name, item, str(error)) from None
 
 
 def decode_payload(message_id: int, data: bytes) -> Message:
@@ -142,6 +196,40 @@ def decode_payload(message_id: int, data: bytes) -> Message:
         return decoded
     offset = 0
     values: list[Any] = []
+    for step in _steps_of(cls):
+        if step.packed is None:
+            if step.field.has_default and offset == len(data):
+                break
+            try:
+                item, offset = step.field.wire.decode(data, offset)
+            except ValueError as error:
+                raise DecodeError(message_id, f"{cls.__name__}.{step.field.name}: {error}") from None
+            values.append(item)
+            continue
+        end = offset + step.packed.size
+        if end > len(data):
+            return _decode_older(cls, data)
+        part = step.packed.unpack_from(data, offset)
+        offset = end
+        if step.converters:
+            items = list(part)
+            for place, enum in step.converters:
+                try:
+                    items[place] = enum(items[place])
+                except ValueError as error:
+                    raise DecodeError(message_id, f"{cls.__name__}: {error}") from None
+            values += items
+        else:
+            values += part
+    return cls(*values)
+
+
+def _decode_older(cls: type[Message], data: bytes) -> Message:
+    """Decode field by field: the payload ends before the last field, which is right only at the border of one with a
+    default.
+    """
+    offset = 0
+    values: list[Any] = []
     for field in fields_of(cls):
         if field.has_default and offset == len(data):
             break
@@ -149,5 +237,5 @@ def decode_payload(message_id: int, data: bytes) -> Message:
             item, offset = field.wire.decode(data, offset)
             values.append(item if field.enum is None else field.enum(item))
         except ValueError as error:
-            raise DecodeError(message_id, f"{cls.__name__}.{field.name}: {error}") from None
+            raise DecodeError(cls.ID, f"{cls.__name__}.{field.name}: {error}") from None
     return cls(*values)

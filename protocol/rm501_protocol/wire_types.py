@@ -47,6 +47,7 @@ class Scalar(WireType):
     SIZE: ClassVar[int]
     SIGNED: ClassVar[bool]
     FORMAT: ClassVar[str]  # struct format character, empty where struct has none
+    PACKS: ClassVar[bool] = True  # whether struct's own range check is the right one
 
     @property
     def minimum(self) -> int:
@@ -120,13 +121,15 @@ class S80(Scalar):
 
     __slots__ = ()
     SIZE, SIGNED, FORMAT = 10, True, ""
+    PACKS = False
 
 
 class Bool(Scalar):
     """One byte, 0 or 1; any other value is malformed."""
 
     __slots__ = ()
-    SIZE, SIGNED, FORMAT = 1, False, "?"
+    SIZE, SIGNED, FORMAT = 1, False, "B"
+    PACKS = False
 
     @property
     def maximum(self) -> int:
@@ -164,11 +167,19 @@ class Vector(WireType):
 
     def encode(self, value: Any, out: bytearray) -> None:
         """Append count and elements."""
-        if len(value) > self.cap:
+        count = len(value)
+        if count > self.cap:
             raise ValueError(f"at most {self.cap} elements")
-        out.append(len(value))
+        out.append(count)
+        element = self.element
+        if isinstance(element, Scalar) and element.PACKS:
+            try:
+                out += struct.pack(f"<{count}{element.FORMAT}", *value)
+            except struct.error:
+                raise ValueError(f"elements {element.minimum}..{element.maximum}") from None
+            return
         for item in value:
-            self.element.encode(item, out)
+            element.encode(item, out)
 
     def decode(self, data: bytes, offset: int) -> tuple[Any, int]:
         """Read count and elements into a tuple."""
@@ -178,9 +189,15 @@ class Vector(WireType):
         if count > self.cap:
             raise ValueError(f"{count} elements, at most {self.cap} allowed")
         offset += 1
+        element = self.element
+        if isinstance(element, Scalar) and element.PACKS:
+            end = offset + count * element.SIZE
+            if end > len(data):
+                raise ValueError("the payload ends early")
+            return struct.unpack_from(f"<{count}{element.FORMAT}", data, offset), end
         items = []
         for _ in range(count):
-            item, offset = self.element.decode(data, offset)
+            item, offset = element.decode(data, offset)
             items.append(item)
         return tuple(items), offset
 
@@ -249,8 +266,3 @@ class Text(WireType):
             return data[offset + 1 : end].decode(), end
         except UnicodeDecodeError:
             raise ValueError("text is not UTF-8") from None
-
-
-def struct_of(scalars: tuple[Scalar, ...]) -> struct.Struct:
-    """One struct for a run of scalars that struct knows (every one but S80)."""
-    return struct.Struct("<" + "".join(scalar.FORMAT for scalar in scalars))
