@@ -31,7 +31,9 @@ _T = TypeVar("_T", bound=Message)
 
 
 class RecordingPins:
-    """Keeps every port word; inputs are set by the test, constant until it changes them or as `script` (frame -> word) says."""
+    """Keeps every port word; inputs are set by the test, constant until it changes them or as `script` (frame ->
+    word) says.
+    """
 
     def __init__(self, config: BoardConfig = RM501_BOARD) -> None:
         self.config = config
@@ -221,7 +223,9 @@ class Rig:
 
 
 def rest_to_rest(motor: int, length: int, v_peak: int) -> list[tuple[int, int, int]]:
-    """Terms (length, v, a) of a trapezoid: ramp up over `length`, cruise, ramp down, at rest at both ends; v_peak in 2^-32 step/frame."""
+    """Terms (length, v, a) of a trapezoid: ramp up over `length`, cruise, ramp down, at rest at both ends; v_peak in
+    2^-32 step/frame.
+    """
     a = (v_peak << 8) // length
     top = (a * length) >> 8
     return [(length, 0, a), (length, top, 0), (length, top, -a)]

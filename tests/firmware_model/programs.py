@@ -1,0 +1,113 @@
+"""Random programs for the board: legal motion, and everything that a user, a machine or a fault may do meanwhile."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+from rm501_firmware_model import BoardLayout
+from rm501_protocol.board_config import RM501_BOARD, BoardConfig
+from rm501_protocol.enums import SegmentFlag
+from rm501_protocol.segment import A_SHIFT, ONE_STEP, V_SHIFT, position_q48, velocity_q48
+from rm501_protocol.segment_message import MotorTerm, Segment, SegmentEvent, hand_event
+
+FRAME_MASK = 0xFFFFFFFF
+
+
+class LegalMotion:
+    """Makes segments that the board must accept: continuous speed, rate and acceleration within the limits.
+
+    Every so many segments the motion is brought to rest. `lively` motors turn round often, some oscillate about
+    half-integers.
+    """
+
+    def __init__(self, rng: random.Random, config: BoardConfig = RM501_BOARD, start_frames: int = 0) -> None:
+        self.rng = rng
+        self.layout = BoardLayout(config)
+        self.frame = start_frames
+        self.speed = [0] * self.layout.motor_count
+        self.position = [0] * self.layout.motor_count
+
+    def term(self, motor: int, length: int, wanted: int) -> MotorTerm:
+        """Go to the wanted speed (2^-48 step/frame) as far as acceleration lets it; v starts where the last one
+        ended.
+        """
+        limit = self.layout.max_acceleration[motor] * 9 // 10
+        v0 = self.speed[motor]
+        cubic = self.rng.random() < 0.5 and limit // length < 1 << 30
+        change = wanted - v0
+        most = limit * length // (2 if cubic else 1)
+        change = max(-most, min(most, change))
+        if cubic:
+            # acceleration 0 -> peak or peak -> 0, linear
+            j = 2 * change // (length * length)
+            a = 0
+            if self.rng.random() < 0.5:
+                a, j = j * length, -j
+        else:
+            a, j = change // length, 0
+        v = v0 >> V_SHIFT
+        return MotorTerm(motor, v, a >> A_SHIFT, j)
+
+    def segment(
+        self,
+        length: int,
+        targets: dict[int, int],
+        *,
+        flags: SegmentFlag = SegmentFlag.NONE,
+        hold: int = 300,
+        stop: int = 600,
+        events: tuple[SegmentEvent, ...] = (),
+    ) -> Segment:
+        """A segment in which each motor of `targets` heads for a speed."""
+        terms = tuple(self.term(motor, length, targets[motor]) for motor in sorted(targets))
+        if any(term.j for term in terms):
+            flags |= SegmentFlag.CUBIC
+        made = Segment(self.frame, length, terms, flags, hold, stop, events)
+        for motor in range(self.layout.motor_count):
+            if motor not in targets:
+                self.speed[motor] = 0
+        for term in terms:
+            self.speed[term.motor] = velocity_q48(term, length)
+            self.position[term.motor] = position_q48(self.position[term.motor], term, length)
+        self.frame = made.end_frames
+        return made
+
+    def run(self, count: int, *, longest: int = 400, hand: bool = True) -> Iterator[Segment]:
+        """`count` random segments and then as many as it takes to come to rest, the last one flagged so."""
+        rng = self.rng
+        moved = self.layout.moved
+        hand_at = 0
+        for _ in range(count):
+            length = rng.choice((rng.randint(1, 12), rng.randint(20, longest)))
+            targets = {}
+            for motor in moved:
+                if abs(self.speed[motor]) > self.layout.max_speed_jump // 2 or rng.random() < 0.7:
+                    limit = self.layout.max_speed[motor] * 9 // 10
+                    kind = rng.random()
+                    wanted = rng.randint(-limit, limit) if kind < 0.6 else -self.speed[motor] if kind < 0.8 else 0
+                    targets[motor] = wanted
+            events = []
+            for offset in sorted(rng.randrange(length) for _ in range(rng.choice((0, 0, 0, 1, 2)))):
+                pulses = rng.choice((1, -1)) * rng.randint(1, 60)
+                if hand and self.frame + offset >= hand_at:
+                    events.append(hand_event(offset, pulses))
+                    hand_at = self.frame + offset + 3 * abs(pulses) + 10
+            slope = rng.randint(150, 2000)
+            yield self.segment(length, targets, hold=slope, stop=slope * rng.randint(1, 3), events=tuple(events))
+        yield from self.to_rest()
+
+    def to_rest(self) -> Iterator[Segment]:
+        """Segments that end at rest."""
+        while any(abs(speed) > 1 << 20 for speed in self.speed):
+            frames = 1
+            for motor in self.layout.moved:
+                frames = max(frames, abs(self.speed[motor]) * 10 // (8 * self.layout.max_acceleration[motor]) + 2)
+            length = min(frames, 20_000)
+            yield self.segment(length, dict.fromkeys(self.layout.moved, 0))
+        yield self.segment(10, {}, flags=SegmentFlag.ENDS_AT_REST)
+
+
+def step_position(q48: int) -> float:
+    """A position in steps, for messages of assertions."""
+    return q48 / ONE_STEP
