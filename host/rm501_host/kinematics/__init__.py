@@ -1,7 +1,11 @@
-"""Kinematics of the arm: forward, inverse, Jacobians, program frame, motor space."""
+"""Kinematics of the arm: forward, inverse, Jacobians, singularities, program frame, motor space, workspace.
+
+`Arm` has what the rest of the host asks for; the modules hold the mathematics. The derivation is in
+docs/kinematics.md, the thesis's errors in docs/errata.md.
+"""
 
 from rm501_host.kinematics.arm import Arm
-from rm501_host.kinematics.errors import BranchError, GeometryError, KinematicsError, OrientationError
+from rm501_host.kinematics.errors import GeometryError, KinematicsError, OrientationError
 from rm501_host.kinematics.geometry import ArmGeometry
 from rm501_host.kinematics.motors import MotorSpace, Polytope
 from rm501_host.kinematics.program_frame import ProgramFrame
@@ -17,12 +21,23 @@ from rm501_host.kinematics.results import (
     ShortfallKind,
     Target6,
 )
+from rm501_host.kinematics.singularities import Ellipsoid, Singularity, SingularityKind
+from rm501_host.kinematics.solids import Capsules, Clearances, SolidRadii, capsules, clearances
+from rm501_host.kinematics.tracker import BranchTracker, TrackStatus, TrackStep
+from rm501_host.kinematics.velocity_control import ControlStep, VelocityController, default_damping
+from rm501_host.kinematics.velocity_inverse import Damping, DampingLaw, Weights
 
 __all__ = [
     "Arm",
     "ArmGeometry",
     "Branch",
-    "BranchError",
+    "BranchTracker",
+    "Capsules",
+    "Clearances",
+    "ControlStep",
+    "Damping",
+    "DampingLaw",
+    "Ellipsoid",
     "GeometryError",
     "IkResult",
     "IkSolution",
@@ -37,5 +52,15 @@ __all__ = [
     "ProgramFrame",
     "Shortfall",
     "ShortfallKind",
+    "Singularity",
+    "SingularityKind",
+    "SolidRadii",
     "Target6",
+    "TrackStatus",
+    "TrackStep",
+    "VelocityController",
+    "Weights",
+    "capsules",
+    "clearances",
+    "default_damping",
 ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rm501_host.config import Config
-from rm501_host.kinematics import batch, forward, inverse, jacobian, program_frame, rotations
+from rm501_host.kinematics import batch, forward, inverse, jacobian, program_frame, rates, rotations, singularities
 from rm501_host.kinematics.errors import KinematicsError, OrientationError
 from rm501_host.kinematics.geometry import ArmGeometry
 from rm501_host.kinematics.inverse import InverseSolver
@@ -28,6 +28,7 @@ from rm501_host.kinematics.results import (
     Target6,
     VectorLike,
 )
+from rm501_host.kinematics.singularities import Ellipsoid, Singularity
 
 
 class Arm:
@@ -161,6 +162,45 @@ class Arm:
         """
         return jacobian.joint_rates_of_task_rows(self.geometry, q_deg, task_rates)
 
+    def jacobian_rate(self, q_deg: JointsLike, rates_deg_s: JointsLike) -> FloatArray:
+        """dJ/dt (6, 5) at (5,) deg moving at (5,) deg/s: mm/rad/s and rad/rad/s."""
+        return rates.jacobian_rate(self.geometry, q_deg, rates_deg_s)
+
+    def task_bias_batch(self, q_deg: FloatArray, rates_deg_s: FloatArray) -> FloatArray:
+        """J' q' (n, 5), mm/s2 and deg/s2: task acceleration at joint rates (n, 5) deg/s without joint acceleration.
+
+        Joint accelerations of a path: `joint_rates_batch(q, task acceleration - bias)`.
+        """
+        return rates.task_bias_rows(self.geometry, q_deg, rates_deg_s)
+
+    def rpy_jacobian(self, q_deg: JointsLike) -> FloatArray:
+        """Analytical Jacobian (6, 5): rates of x, y, z (mm/rad) and the tool's roll, pitch, yaw, base frame.
+
+        Raises KinematicsError in gimbal lock (thesis 3.1.2, corrected).
+        """
+        return rates.analytical_rpy(self.geometry, q_deg)
+
+    def zxz_jacobian(self, q_deg: JointsLike) -> FloatArray:
+        """Analytical Jacobian (6, 5) for zxz Euler angles; raises KinematicsError where the tool is vertical."""
+        return rates.analytical_zxz(self.geometry, q_deg)
+
+    # -- singularities ----------------------------------------------------------------------------------------------
+
+    def manipulability(self, q_deg: JointsLike, length_mm: float = 1.0) -> float:
+        """sqrt(det(J^T J)) at (5,) deg, linear rows divided by `length_mm` (1: mm and rad as they are).
+
+        Closed form, see `singularities`. Raises KinematicsError for a length that is not above 0.
+        """
+        return singularities.manipulability(self.geometry, q_deg, length_mm)
+
+    def singularities(self, q_deg: JointsLike, margin: float = 0.05) -> tuple[Singularity, ...]:
+        """The singularities within `margin` (of `measure`, 0..1) of (5,) deg, nearest first."""
+        return singularities.within(self.geometry, q_deg, margin)
+
+    def ellipsoid(self, q_deg: JointsLike, length_mm: float | None = None) -> Ellipsoid:
+        """Velocity ellipsoid, condition number and rank at (5,) deg; 1 rad weighs `length_mm` (None: a2)."""
+        return singularities.ellipsoid(self.geometry, q_deg, self.geometry.a2_mm if length_mm is None else length_mm)
+
     # -- motors -----------------------------------------------------------------------------------------------------
 
     def motors_from_joints(self, q_deg: JointsLike) -> FloatArray:
@@ -205,6 +245,17 @@ class Arm:
         if self.frame.has_rpy:
             return (x, y, z, *rotations.rpy_from_matrix(self.frame.rotation.T @ pose.rotation))
         return (x, y, z, pose.pitch_deg, pose.roll_deg, 0.0)
+
+    def program_jacobian(self, q_deg: JointsLike) -> FloatArray:
+        """Rates of the program's coordinates at (5,) deg, mm/rad and rad/rad: (5, 5) of X Y Z A B, (6, 5) of X to C.
+
+        XYZABC: the analytical roll-pitch-yaw Jacobian in the program frame; raises KinematicsError in gimbal lock.
+        """
+        if self.frame.has_rpy:
+            return rates.analytical_rpy(self.geometry, q_deg, self.frame.rotation)
+        matrix = jacobian.task(self.geometry, q_deg)
+        matrix[:3] = self.frame.rotation.T @ matrix[:3]
+        return matrix
 
     def joints_from_program_batch(
         self, targets: FloatArray, branch: Branch = Branch.FRONT_UP, near_deg: JointsLike | None = None

@@ -3,8 +3,7 @@
 Rm501Error
 └── KinematicsError      a number that cannot be worked with (NaN, wrong shape, bad margin)
     ├── GeometryError    link lengths, limits or a wrist matrix that describe no arm; `key` names the configuration key
-    ├── OrientationError an orientation that five joints cannot take; `residual_deg` says by how much
-    └── BranchError      a path that would have to change the arm's branch; `index` says where
+    └── OrientationError an orientation that five joints cannot take; `residual_deg` says by how much
 """
 
 from __future__ import annotations
@@ -30,12 +29,4 @@ class OrientationError(KinematicsError):
     def __init__(self, residual_deg: float, tolerance_deg: float, message: str) -> None:
         self.residual_deg = residual_deg
         self.tolerance_deg = tolerance_deg
-        super().__init__(message)
-
-
-class BranchError(KinematicsError):
-    """Row `index` of a path cannot be reached without changing the branch."""
-
-    def __init__(self, index: int, message: str) -> None:
-        self.index = index
         super().__init__(message)

@@ -1,6 +1,7 @@
-"""Rotations: matrix, roll-pitch-yaw; angles in deg at every boundary.
+"""Rotations: matrix, roll-pitch-yaw, zxz Euler angles, and the rates of both; angles in deg at every boundary.
 
-Roll, pitch, yaw mean R = Rz(yaw) Ry(pitch) Rx(roll): turns about the fixed axes x, y, z in that order.
+Roll, pitch, yaw mean R = Rz(yaw) Ry(pitch) Rx(roll): turns about the fixed axes x, y, z in that order. The zxz
+angles mean R = Rz(phi) Rx(theta) Rz(psi). Quaternions and angle-axis are in `quaternions`.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from math import atan2, cos, degrees, hypot, radians, sin
 
 import numpy as np
 
+from rm501_host.kinematics.errors import KinematicsError
 from rm501_host.kinematics.results import FloatArray, VectorLike
 
 
@@ -85,3 +87,51 @@ def angles_between_deg(rotations: FloatArray, others: FloatArray) -> FloatArray:
     cosine = 0.5 * (np.trace(relative, axis1=1, axis2=2) - 1.0)
     result: FloatArray = np.degrees(np.arctan2(sine, cosine))
     return result
+
+
+def matrix_from_zxz(zxz_deg: VectorLike) -> FloatArray:
+    """R = Rz(phi) Rx(theta) Rz(psi), (3, 3), from (phi, theta, psi) in deg."""
+    phi, theta, psi = (radians(float(angle)) for angle in zxz_deg)
+    c1, s1, c2, s2, c3, s3 = cos(phi), sin(phi), cos(theta), sin(theta), cos(psi), sin(psi)
+    return np.array(
+        (
+            (c1 * c3 - s1 * c2 * s3, -c1 * s3 - s1 * c2 * c3, s1 * s2),
+            (s1 * c3 + c1 * c2 * s3, -s1 * s3 + c1 * c2 * c3, -c1 * s2),
+            (s2 * s3, s2 * c3, c2),
+        )
+    )
+
+
+def zxz_from_matrix(rotation: FloatArray) -> tuple[float, float, float]:
+    """(phi, theta, psi) in deg of R (3, 3), theta in 0..180; where sin theta < 1e-9, psi is 0."""
+    r11, _, r13, r21, _, r23, r31, r32, r33 = rotation.ravel().tolist()
+    sine = hypot(r31, r32)
+    theta = degrees(atan2(sine, r33))
+    if sine < GIMBAL_COSINE:
+        return (degrees(atan2(r21, r11)), theta, 0.0)
+    return (degrees(atan2(r13, -r23)), theta, degrees(atan2(r31, r32)))
+
+
+def angular_from_rpy_rates(rpy_deg: VectorLike) -> FloatArray:
+    """E (3, 3) with omega = E (roll', pitch', yaw'), fixed axes.
+
+    For R = Rz(yaw) Ry(pitch) Rx(roll). Thesis 3.1.2 prints the matrix of another convention, with sin phi in (3,3)
+    for cos phi (errata).
+    """
+    _, pitch, yaw = (radians(float(angle)) for angle in rpy_deg)
+    cp, sp, cy, sy = cos(pitch), sin(pitch), cos(yaw), sin(yaw)
+    return np.array(((cy * cp, -sy, 0.0), (sy * cp, cy, 0.0), (-sp, 0.0, 1.0)))
+
+
+def angular_from_zxz_rates(zxz_deg: VectorLike) -> FloatArray:
+    """E (3, 3) with omega = E (phi', theta', psi'), fixed axes, for R = Rz(phi) Rx(theta) Rz(psi)."""
+    phi, theta, _ = (radians(float(angle)) for angle in zxz_deg)
+    c1, s1, c2, s2 = cos(phi), sin(phi), cos(theta), sin(theta)
+    return np.array(((0.0, c1, s1 * s2), (0.0, s1, -c1 * s2), (1.0, 0.0, c2)))
+
+
+def rates_matrix(angular: FloatArray, what: str) -> FloatArray:
+    """The inverse of E (3, 3): angle rates from omega. Raises KinematicsError in gimbal lock."""
+    if abs(np.linalg.det(angular)) < GIMBAL_COSINE:
+        raise KinematicsError(f"{what} rates do not exist in gimbal lock: two of the three axes are one here")
+    return np.asarray(np.linalg.inv(angular), dtype=np.float64)
