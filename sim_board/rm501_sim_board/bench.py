@@ -104,6 +104,8 @@ class Bench:
         self._pending_words = 0
         self._decoded_periods = 0
         self._settled_frame = -1
+        self._steady_until = 0
+        self._touched = False
         self._active: dict[InputId, bool] = {}
         self._word = 0
 
@@ -127,11 +129,17 @@ class Bench:
 
     def read_inputs(self, frame: int) -> int:
         """The input word at the start of real `frame`."""
-        self.settle(frame)
+        if frame >= self._steady_until:
+            self._renew_promise(frame)
         return self._word
 
     def inputs_stable_until(self, frame: int) -> int:
         """Promise: the inputs keep the value they had at `frame` until the returned frame, however the motors move."""
+        if frame >= self._steady_until:
+            self._renew_promise(frame)
+        return self._steady_until
+
+    def _renew_promise(self, frame: int) -> None:
         self.settle(frame)
         steady = self.plant.steady_frames()
         if self._agenda:
@@ -142,7 +150,7 @@ class Bench:
             if steady <= 1:
                 break
             steady = min(steady, switch.steady_frames(frame, angle, bound))
-        return frame + max(1, min(steady, NEVER_FRAMES))
+        self._steady_until = frame + max(1, min(steady, NEVER_FRAMES))
 
     # ------------------------------------------------------------ the operator's side
 
@@ -150,13 +158,13 @@ class Bench:
         """Press a button (the emergency stop latches until released)."""
         self._require_button(button)
         self._pressed.add(button)
-        self._world_changed()
+        self.world_changed()
 
     def release(self, button: InputId) -> None:
         """Let a button go."""
         self._require_button(button)
         self._pressed.discard(button)
-        self._world_changed()
+        self.world_changed()
 
     def force_input(self, line: InputId, active: bool | None) -> None:
         """Force an input line active or inactive at the connector; None lets it go."""
@@ -164,7 +172,7 @@ class Bench:
             self._forced.pop(line, None)
         else:
             self._forced[line] = active
-        self._world_changed()
+        self.world_changed()
 
     def rewire(self, wiring: Wiring) -> None:
         """Change the cable from now on."""
@@ -175,6 +183,7 @@ class Bench:
         """Have `action` happen at the start of real `frame`, before the inputs of that frame are read."""
         heapq.heappush(self._agenda, (frame, self._agenda_count, action))
         self._agenda_count += 1
+        self._steady_until = min(self._steady_until, frame)
 
     def truth(self, frame: int | None = None) -> Truth:
         """The state of the world at the last settled frame, or at `frame` when all its port words are known."""
@@ -200,6 +209,8 @@ class Bench:
     def settle(self, frame: int) -> None:
         """Bring the world to the start of real `frame`."""
         if frame == self._settled_frame:
+            if self._touched:
+                self._sense(frame)
             return
         if frame < self._settled_frame:
             raise BenchConfigError(f"the bench is at frame {self._settled_frame}, it cannot go back to {frame}")
@@ -274,6 +285,7 @@ class Bench:
                     self.plant.change_payload(period, self.hand.payload_kg)
 
     def _sense(self, frame: int) -> None:
+        self._touched = False
         active = self._active
         angles = self.plant.joint_deg
         for joint in range(JOINT_COUNT):
@@ -291,10 +303,11 @@ class Bench:
         self._word = word
         self.recording.add_input(frame, word)
 
-    def _world_changed(self) -> None:
+    def world_changed(self) -> None:
+        """Somebody has changed the world by hand: promises given before are void from the next frame on."""
         self.plant.estop_open = InputId.ESTOP in self._pressed
-        if self._settled_frame >= 0:
-            self._sense(self._settled_frame)
+        self._steady_until = 0
+        self._touched = True
 
     @staticmethod
     def _require_button(button: InputId) -> None:

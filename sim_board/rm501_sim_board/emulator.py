@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import rm501_firmware_model
-from rm501_firmware_model import Board
+from rm501_firmware_model import Board, FastBoard
 from rm501_protocol.board_config import OUTPUT_LINES, RM501_BOARD
 from rm501_sim_board.bench import Bench, Truth
 from rm501_sim_board.plant import FrameClock
@@ -22,7 +21,7 @@ from rm501_sim_board.randomness import stream
 from rm501_sim_board.recording import DEFAULT_KEEP_WORDS, Recording
 from rm501_sim_board.wiring import WordArray
 
-_BOARDS: dict[str, type[Board]] = {"fast": getattr(rm501_firmware_model, "FastBoard", Board), "reference": Board}
+_BOARDS: dict[str, type[Board]] = {"fast": FastBoard, "reference": Board}
 
 # Ports with pull-ups: every pin high while the microcontroller is in reset.
 FLOATING_WORD = sum(1 << line.bit for line in OUTPUT_LINES if line.inverted)

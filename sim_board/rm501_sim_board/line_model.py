@@ -16,7 +16,10 @@ BITS_PER_BYTE = 10
 
 @dataclass(slots=True)
 class LineDamage:
-    """What happens to bytes on one direction of the line; probabilities per byte, times in seconds."""
+    """What happens to bytes on one direction of the line; probabilities per byte, times in seconds.
+
+    What is sent before `silent_until_s` is lost; what would arrive before `frozen_until_s` arrives then.
+    """
 
     flip_probability: float = 0.0
     drop_probability: float = 0.0
@@ -24,6 +27,7 @@ class LineDamage:
     duplicate_probability: float = 0.0
     delay_s: float = 0.0
     silent_until_s: float = float("-inf")
+    frozen_until_s: float = float("-inf")
     counts: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -43,6 +47,7 @@ class LineModel:
         self.bytes_sent = 0
         self._rng = rng
         self._free_at_s = float("-inf")
+        self._last_arrival_s = float("-inf")
 
     def send(self, data: bytes, now_s: float) -> tuple[float, bytes]:
         """When the last byte of `data` arrives and what is left of it by then."""
@@ -57,7 +62,10 @@ class LineModel:
             return start_s, b""
         if damage.any:
             data = self._harm(data)
-        return start_s + damage.delay_s, data
+        # Never overtakes: a delay that shrinks does not reorder a wire.
+        arrival_s = max(start_s + damage.delay_s, damage.frozen_until_s, self._last_arrival_s)
+        self._last_arrival_s = arrival_s
+        return arrival_s, data
 
     def _harm(self, data: bytes) -> bytes:
         damage = self.damage
