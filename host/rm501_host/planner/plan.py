@@ -82,7 +82,7 @@ class Plan:
             raise ValueError("an empty plan has no samples")
         first = self.pieces[0].start_s
         count = int(np.floor(self.duration_s / dt_s + 1e-9))
-        t_s = np.arange(count + 1) * dt_s
+        t_s: Array = np.arange(count + 1, dtype=np.float64) * dt_s
         if self.duration_s - t_s[-1] > 1e-9:
             t_s = np.append(t_s, self.duration_s)
         n = len(t_s)

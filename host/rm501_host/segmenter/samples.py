@@ -49,7 +49,7 @@ class Samples:
         frames = np.unique(np.concatenate((_away_from(grid, fixed), fixed)))
         frames = frames[(frames > known) & (frames <= end)]
         if len(frames):
-            q_deg, rates, _ = piece.states(frames * self._frame_s - first)
+            q_deg, rates, _ = piece.states(frames.astype(np.float64) * self._frame_s - first)
             speeds = self._motors.steps(rates) * self._frame_s
             if piece.ends_at_rest:
                 speeds[-1] = 0.0
@@ -73,7 +73,8 @@ def _spread(frames: NDArray[np.int64]) -> NDArray[np.int64]:
     if len(frames) < 2:
         return frames
     frames = np.unique(frames)
-    return frames[np.concatenate((np.array([True]), np.diff(frames) >= SAMPLE_FRAMES // 2))]
+    kept: NDArray[np.int64] = frames[np.concatenate((np.array([True]), np.diff(frames) >= SAMPLE_FRAMES // 2))]
+    return kept
 
 
 def _away_from(frames: NDArray[np.int64], fixed: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -83,4 +84,5 @@ def _away_from(frames: NDArray[np.int64], fixed: NDArray[np.int64]) -> NDArray[n
     after = np.clip(np.searchsorted(fixed, frames), 0, len(fixed) - 1)
     before = np.clip(after - 1, 0, len(fixed) - 1)
     near = np.minimum(np.abs(fixed[after] - frames), np.abs(fixed[before] - frames))
-    return frames[near >= SAMPLE_FRAMES // 2]
+    kept: NDArray[np.int64] = frames[near >= SAMPLE_FRAMES // 2]
+    return kept

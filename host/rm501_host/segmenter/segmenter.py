@@ -260,20 +260,13 @@ class Segmenter:
             flags |= SegmentFlag.ENDS_AT_REST
         first_s = int(samples.frames[at]) * self._frame_s + run[0].start_s
         while len(run) > 1 and first_s >= run[0].end_s - 1e-9:
-            run_frame_s = run.pop(0)
-            del run_frame_s
+            del run[0]
         piece = run[0]
         origin = self._origin(piece, samples, run_frame)
-        offset = origin - self._frame
-        events = (
-            tuple(
-                event
-                for candidate in run
-                for event in self._events(candidate, 0, frames, offset if candidate is piece else np.inf)
-            )
-            if any(candidate.events for candidate in run)
-            else ()
-        )
+        events: tuple[SegmentEvent, ...] = ()
+        for candidate in run:
+            if candidate.events:
+                events += self._events(candidate, 0, frames, self._origin(candidate, samples, run_frame) - self._frame)
         segment = Segment(self._frame & 0xFFFFFFFF, frames, terms, flags, events=events)
         within = np.array([(self._frame - origin) * self._frame_s])
         line = int(piece.lines(np.clip(within, 0.0, None))[0])
