@@ -1,27 +1,42 @@
 """Corners: how one element goes over into the next: smoothly as it is, by a blend, or not without a stop.
 
-A circular blend between two lines that turn by theta touches both at the distance d from the corner and passes it at
-d tan(theta / 4) (radius d / tan(theta / 2)), so the largest d that keeps the tolerance P is P / tan(theta / 4), and
-never more than half of either neighbour.
+A blend cuts off the ends of both neighbours, at most half of each, and joins them with equal slopes. Between lines
+and arcs of one plane it is a circle (`rounding`), with pitch and roll as a cubic along it; everywhere else, and where
+`parabolic` is asked for, it is the cubic through both ends with both slopes, which between two lines is a parabola:
+in task space when both neighbours are, else in joint space. The tolerance P bounds the distance of the blend from
+the corner and from the path, in mm at the tool centre point, also for blends in joint space.
+
+Where a corner turns by more than `CHECKED_RAD`, the blend is used only if the fastest law through it is faster than
+the one that stops: the limits are anisotropic (the waist has ten times the acceleration of the others), so a blend
+is not always faster.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import pi
+from dataclasses import dataclass, replace
+from math import acos, pi
 
 import numpy as np
 
 from rm501_host.kinematics import Arm
 from rm501_host.moves import PathMode
 
-from .elements import Element
+from .elements import Array, Element, ElementTable, Space, hermite
+from .errors import PlanError
+from .geometry import path_points
+from .grid import GridBuilder
 from .limits import Limits
+from .rounding import round_curves, round_lines
+from .timelaw import fastest_speeds, law_duration
 
 TANGENT = 1e-7
 """Relative difference of tangents that counts as none: at 30 deg/s, 3e-6 deg/s of jump."""
 SHARPEST_RAD = pi - 0.02
 """Turns sharper than this are reversals: the arm stops there."""
+CHECKED_RAD = 0.35
+"""Turns sharper than this are blended only where it is faster; below, it always was (random corners, 20 deg)."""
+_SHORTEST_MM = 1e-6
+_PROBES = 17
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,9 +54,10 @@ SMOOTH = Corner(0.0, 0.0, ())
 class CornerMaker:
     """Decides what happens between two elements."""
 
-    def __init__(self, arm: Arm, limits: Limits) -> None:
+    def __init__(self, arm: Arm, limits: Limits, *, parabolic: bool = False) -> None:
         self._arm = arm
-        self._limits = limits
+        self._parabolic = parabolic
+        self._judge = GridBuilder(arm, limits, coarse=True)
 
     def between(
         self, first: Element, used: float, second: Element, mode: PathMode, tolerance_mm: float
@@ -49,12 +65,119 @@ class CornerMaker:
         """The way from `first` (whose first `used` is taken already) into `second`; None: stop there."""
         if mode is PathMode.EXACT_STOP:
             return None
-        _, end_slope = first.at(first.length)
-        _, start_slope = second.at(0.0)
-        if first.space is second.space and first.branch is second.branch:
+        if first.is_straight and second.is_straight:
+            end_slope, start_slope = first.coefficients[1], second.coefficients[1]
+        else:
+            _, end_slope = first.at(first.length)
+            _, start_slope = second.at(0.0)
+        same = first.space is second.space and first.branch is second.branch
+        if same:
             scale = max(float(np.abs(end_slope).max()), float(np.abs(start_slope).max()))
             if float(np.abs(end_slope - start_slope).max()) <= TANGENT * scale:
                 return SMOOTH
         if mode is not PathMode.BLEND or tolerance_mm <= 0.0:
             return None
+        corner = None
+        moving = same and first.space is Space.TASK and end_slope[:3].any() and start_slope[:3].any()
+        theta = pi
+        if moving:
+            theta = _angle(end_slope[:3], start_slope[:3])
+            corner = self._rounded(first, second, tolerance_mm)
+        if corner is None:
+            corner = self._cubic(first, second, tolerance_mm)
+        if corner is None:
+            return None
+        if theta > CHECKED_RAD and not self._is_faster(first, used, second, corner):
+            return None
+        return corner
+
+    def _rounded(self, first: Element, second: Element, tolerance_mm: float) -> Corner | None:
+        if self._parabolic:
+            return None
+        if first.is_straight and second.is_straight:
+            found = round_lines(first, second, tolerance_mm, SHARPEST_RAD)
+            return None if found is None else Corner(found[0], found[0], (found[1],))
+        curved = round_curves(first, second, tolerance_mm, SHARPEST_RAD)
+        return None if curved is None else Corner(curved[0], curved[1], (curved[2],))
+
+    def _cubic(self, first: Element, second: Element, tolerance_mm: float) -> Corner | None:
+        """The cubic between equal cuts, made smaller until it keeps the tolerance."""
+        cut = 0.5 * min(first.length, second.length)
+        for _ in range(24):
+            if cut < _SHORTEST_MM:
+                return None
+            try:
+                blend, deviation_mm = self._cubic_at(first, second, cut)
+            except PlanError:
+                cut *= 0.5
+                continue
+            if deviation_mm <= tolerance_mm:
+                return Corner(cut, cut, (blend,))
+            cut *= min(0.9, max(0.2, 0.98 * tolerance_mm / deviation_mm))
         return None
+
+    def _cubic_at(self, first: Element, second: Element, cut: float) -> tuple[Element, float]:
+        task = first.space is Space.TASK and second.space is Space.TASK and first.branch is second.branch
+        space = Space.TASK if task else Space.JOINT
+        start, start_slope = self._ends(first, first.length - cut, task)
+        end, end_slope = self._ends(second, cut, task)
+        blend = replace(
+            hermite(space, start, start_slope, end, end_slope, 2.0 * cut, first.source),
+            feed_mm_s=min(first.feed_mm_s, second.feed_mm_s),
+            rate=min(first.rate, second.rate),
+            is_blend=True,
+            branch=first.branch,
+        )
+        shares = np.linspace(0.0, 1.0, _PROBES)
+        along = self._places(blend, blend.length * shares)
+        before = self._places(first, first.length - cut * (1.0 - shares))
+        after = self._places(second, cut * shares)
+        path = np.concatenate((before, after))
+        deviation = float(_distances(along, path).max())
+        corner = float(_distances(before[-1:], along).max())
+        return blend, max(deviation, corner) * 1.001
+
+    def _ends(self, element: Element, s: float, task: bool) -> tuple[Array, Array]:
+        if task or element.space is Space.JOINT:
+            return element.at(s)
+        points = path_points(self._arm, ElementTable([element]), np.zeros(1, dtype=np.intp), np.array([s]))
+        return points.q_deg[0], points.q1[0]
+
+    def _places(self, element: Element, s: Array) -> Array:
+        values, _, _ = element.evaluate(s)
+        if element.space is Space.TASK:
+            return values[:, :3]
+        return self._arm.fk_batch(values)[0]
+
+    def _is_faster(self, first: Element, used: float, second: Element, corner: Corner) -> bool:
+        """Whether passing the corner beats stopping in it, from rest to rest over both neighbours."""
+        head = first.trimmed(used, first.length)
+        cut_head = first.length - corner.before - used
+        blended = [first.trimmed(used, first.length - corner.before)] if cut_head > 1e-9 else []
+        blended += [*corner.elements, second.trimmed(corner.after, second.length)]
+        try:
+            passing = self._duration(blended)
+            stopping = self._duration([head]) + self._duration([second])
+        except PlanError:
+            return False
+        return passing < stopping
+
+    def _duration(self, elements: list[Element]) -> float:
+        grid = self._judge.build(ElementTable(elements))
+        return law_duration(grid.lines.length, fastest_speeds(grid.lines))
+
+
+def _angle(a: Array, b: Array) -> float:
+    size = float(np.linalg.norm(a)) * float(np.linalg.norm(b))
+    return acos(max(-1.0, min(1.0, float(a @ b) / size)))
+
+
+def _distances(points: Array, path: Array) -> Array:
+    """Distance of each point (n, 3) from the polyline (m, 3), (n,)."""
+    starts, steps = path[:-1], np.diff(path, axis=0)
+    squares = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-300)
+    offsets = points[:, None, :] - starts[None]
+    shares = np.clip(np.einsum("nmi,mi->nm", offsets, steps) / squares, 0.0, 1.0)
+    gaps = offsets - shares[:, :, None] * steps[None]
+    nearest: Array = np.sqrt(np.einsum("nmi,nmi->nm", gaps, gaps).min(axis=1))
+    return nearest

@@ -75,11 +75,22 @@ class _Rows:
 class GridBuilder:
     """Builds grids for one arm (with its tool) and one set of limits.
 
-    `acceleration_scale` scales every acceleration limit; `check_limits` False leaves joint ranges unchecked.
+    `check_limits` False leaves joint ranges unchecked, `speed_scale` scales the rows' velocity limits, `coarse` makes
+    a grid that is good enough to compare two ways.
     """
 
-    def __init__(self, arm: Arm, limits: Limits, *, check_limits: bool = True, speed_scale: float = 1.0) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        limits: Limits,
+        *,
+        check_limits: bool = True,
+        speed_scale: float = 1.0,
+        coarse: bool = False,
+    ) -> None:
         self._arm = arm
+        self._most_first = 16 if coarse else MOST_FIRST_INTERVALS
+        self._bend_tolerance = 0.05 if coarse else BEND_TOLERANCE
         self._limits = limits
         self._check_limits = check_limits
         tcp = limits.tcp_acceleration_mm_s2
@@ -101,7 +112,7 @@ class GridBuilder:
         for _ in range(_ROUNDS):
             bend, speed_bend, x_top = self._bends(rows, ia, im, ib, stop - start)
             worst = np.maximum((bend / self._bounds).max(axis=1), speed_bend)
-            split = (worst > BEND_TOLERANCE) & (stop - start > 1e-10)
+            split = (worst > self._bend_tolerance) & (stop - start > 1e-10)
             if not split.any():
                 break
             points = len(rows.a)
@@ -141,7 +152,7 @@ class GridBuilder:
         return Grid(element, start, stop, lines)
 
     def _first_cut(self, table: ElementTable) -> tuple[Indices, Array, Array]:
-        counts = np.clip(np.ceil(table.length / LONGEST_INTERVAL_MM), 1, MOST_FIRST_INTERVALS).astype(np.intp)
+        counts = np.clip(np.ceil(table.length / LONGEST_INTERVAL_MM), 1, self._most_first).astype(np.intp)
         element = np.repeat(np.arange(len(table)), counts)
         ends = np.cumsum(counts)
         within = np.arange(len(element)) - np.repeat(ends - counts, counts)
