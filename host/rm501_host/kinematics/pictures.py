@@ -65,7 +65,7 @@ def _plan_view(arm: Arm, section: WorkspaceMap, axes: Axes) -> None:
             axes.plot(radius * np.cos(angles), radius * np.sin(angles), style, color="tab:red")
     any_pitch = section.r_mm[section.reachable.any(axis=(1, 2))]
     axes.plot(any_pitch.max() * np.cos(angles), any_pitch.max() * np.sin(angles), color="tab:blue")
-    axes.set(title="plan: farthest reach (blue), tool straight down (red)", xlabel="x, mm", ylabel="y, mm")
+    axes.set(title="plan: reach (blue), tool down (red)", xlabel="x, mm", ylabel="y, mm")
     axes.set_aspect("equal")
 
 
