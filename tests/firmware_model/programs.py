@@ -63,15 +63,42 @@ class LegalMotion:
         terms = tuple(self.term(motor, length, targets[motor]) for motor in sorted(targets))
         if any(term.j for term in terms):
             flags |= SegmentFlag.CUBIC
-        made = Segment(self.frame, length, terms, flags, hold, stop, events)
+        return Segment(self.frame, length, terms, flags, hold, stop, events)
+
+    def take(self, segment: Segment) -> Segment:
+        """The board has taken this segment: move the mirror to its end."""
+        terms = {term.motor: term for term in segment.motors}
         for motor in range(self.layout.motor_count):
-            if motor not in targets:
-                self.speed[motor] = 0
-        for term in terms:
-            self.speed[term.motor] = velocity_q48(term, length)
-            self.position[term.motor] = position_q48(self.position[term.motor], term, length)
-        self.frame = made.end_frames
-        return made
+            term = terms.get(motor, MotorTerm(motor, 0))
+            self.speed[motor] = velocity_q48(term, segment.length_frames)
+            self.position[motor] = position_q48(self.position[motor], term, segment.length_frames)
+        self.frame = segment.end_frames
+        return segment
+
+    def wanted_speed(self, motor: int, length: int) -> int:
+        """A random speed; sometimes one that makes the motor swing about the nearest half step or whole step."""
+        limit = self.layout.max_speed[motor] * 9 // 10
+        kind = self.rng.random()
+        if kind < 0.4:
+            return self.rng.randint(-limit, limit)
+        if kind < 0.6:
+            return -self.speed[motor]
+        if kind < 0.9:
+            half = ONE_STEP >> 1
+            nearest = (self.position[motor] + half // 2) // half * half
+            return max(-limit, min(limit, 2 * (nearest - self.position[motor]) // length))
+        return 0
+
+    def peek_random(self, longest: int = 400) -> Segment:
+        """A random legal segment, not yet taken."""
+        rng = self.rng
+        length = rng.choice((rng.randint(1, 12), rng.randint(12, 60), rng.randint(60, longest)))
+        targets = {}
+        for motor in self.layout.moved:
+            if abs(self.speed[motor]) > self.layout.max_speed_jump // 2 or rng.random() < 0.7:
+                targets[motor] = self.wanted_speed(motor, length)
+        slope = rng.randint(150, 2000)
+        return self.segment(length, targets, hold=slope, stop=slope * rng.randint(1, 3))
 
     def run(self, count: int, *, longest: int = 400, hand: bool = True) -> Iterator[Segment]:
         """`count` random segments and then as many as it takes to come to rest, the last one flagged so."""
@@ -83,10 +110,7 @@ class LegalMotion:
             targets = {}
             for motor in moved:
                 if abs(self.speed[motor]) > self.layout.max_speed_jump // 2 or rng.random() < 0.7:
-                    limit = self.layout.max_speed[motor] * 9 // 10
-                    kind = rng.random()
-                    wanted = rng.randint(-limit, limit) if kind < 0.6 else -self.speed[motor] if kind < 0.8 else 0
-                    targets[motor] = wanted
+                    targets[motor] = self.wanted_speed(motor, length)
             events = []
             for offset in sorted(rng.randrange(length) for _ in range(rng.choice((0, 0, 0, 1, 2)))):
                 pulses = rng.choice((1, -1)) * rng.randint(1, 60)
@@ -94,11 +118,14 @@ class LegalMotion:
                     events.append(hand_event(offset, pulses))
                     hand_at = self.frame + offset + 3 * abs(pulses) + 10
             slope = rng.randint(150, 2000)
-            yield self.segment(length, targets, hold=slope, stop=slope * rng.randint(1, 3), events=tuple(events))
-        yield from self.to_rest()
+            yield self.take(
+                self.segment(length, targets, hold=slope, stop=slope * rng.randint(1, 3), events=tuple(events))
+            )
+        for segment in self.plan_rest():
+            yield self.take(segment)
 
-    def to_rest(self) -> Iterator[Segment]:
-        """Segments that end at rest."""
+    def plan_rest(self) -> Iterator[Segment]:
+        """Segments that end at rest, each to be taken before the next is asked for."""
         while any(abs(speed) > 1 << 20 for speed in self.speed):
             frames = 1
             for motor in self.layout.moved:
@@ -106,8 +133,3 @@ class LegalMotion:
             length = min(frames, 20_000)
             yield self.segment(length, dict.fromkeys(self.layout.moved, 0))
         yield self.segment(10, {}, flags=SegmentFlag.ENDS_AT_REST)
-
-
-def step_position(q48: int) -> float:
-    """A position in steps, for messages of assertions."""
-    return q48 / ONE_STEP

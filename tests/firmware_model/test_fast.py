@@ -9,9 +9,7 @@ import pytest
 
 from rm501_firmware_model import Board, FastBoard
 from rm501_protocol.board_config import InputId
-from rm501_protocol.config_pages import OutputPin, OutputSource
 from rm501_protocol.enums import BoardState, Edge, TriggerAction
-from rm501_protocol.faults import FaultCode
 from rm501_protocol.link_events import StopKind
 from rm501_protocol.messages import (
     ArmTrigger,
