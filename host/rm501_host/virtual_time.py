@@ -69,3 +69,26 @@ def run_virtual(main: Coroutine[Any, Any, T]) -> T:
     """Run a coroutine to its end on a fresh VirtualLoop, as `asyncio.run` does on a real one."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(main)
+
+
+class _ScaledSelector(selectors.DefaultSelector):
+    """Waits a fraction of what it is asked to."""
+
+    def __init__(self, factor: float) -> None:
+        super().__init__()
+        self._factor = factor
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        return super().select(None if timeout is None else timeout / self._factor)
+
+
+class ScaledLoop(asyncio.SelectorEventLoop):
+    """An asyncio loop whose clock runs `factor` times as fast as the wall's."""
+
+    def __init__(self, factor: float) -> None:
+        self._factor = factor
+        super().__init__(_ScaledSelector(factor))
+
+    def time(self) -> float:
+        """Seconds of loop time."""
+        return super().time() * self._factor

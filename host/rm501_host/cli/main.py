@@ -1,6 +1,7 @@
 """`rm501-host`: global options, commands that are imported when they are called, and errors turned into exit codes.
 
-`--help` has to answer at once, so a command's module is imported only when that command runs; its summary stands here.
+`--help` has to answer at once, so a command's module is imported only when that command runs; its summary stands
+here.
 """
 
 from __future__ import annotations

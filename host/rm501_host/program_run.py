@@ -1,0 +1,182 @@
+"""Running a program from file to report: check everything, connect, home, play, say what happened.
+
+    read -> interpret -> resolve -> plan -> segment          nothing has moved, any error refuses the whole program
+    connect -> configure -> power -> home -> play            the arm moves
+    report
+
+The program is planned to its end before the port is even opened, from the home position (or, without homing, from
+where the trusted arm stands).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from rm501_host.config import Config
+from rm501_host.config.board import board_config_from
+from rm501_host.errors import RefusedError, Rm501Error, StoppedError
+from rm501_host.kinematics import Arm
+from rm501_host.motion import Homing, MotionStream, Progress
+from rm501_host.moves import Message, Pause, ProgramEnd
+from rm501_host.planner import Piece, PieceKind, Plan, Planner
+from rm501_host.program import read_moves
+from rm501_host.report import LimitFigures, RunReport, WireFigures
+from rm501_host.segmenter import PlannedSegment
+from rm501_host.session import BoardSession, open_session
+from rm501_host.session.board_session import WireTap
+from rm501_host.tracking import tracking_of
+from rm501_host.transports import open_transport
+
+_ARM_MOTORS_MASK = 0b11111
+
+
+class Watcher(Protocol):
+    """Who is told how a run goes."""
+
+    def phase(self, name: str) -> None:
+        """A new phase begins: planning, connecting, homing NAME, running."""
+        ...
+
+    def progress(self, progress: Progress) -> None:
+        """The program has come so far."""
+        ...
+
+    def message(self, text: str) -> None:
+        """The program, or the host, has something to say to the operator."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How to run: where the board is, whether to home, and what to inject."""
+
+    port_url: str
+    home: bool
+    nonce: Callable[[], int]
+    wire_tap: WireTap | None = None
+    wall_clock_s: Callable[[], float] | None = None
+
+
+@dataclass(slots=True)
+class RunResult:
+    """The report, the plan it is about, and the error that ended the run early, if one did."""
+
+    report: RunReport
+    plan: Plan
+    error: Rm501Error | None = None
+    segments: list[PlannedSegment] = field(default_factory=list)
+
+
+def plan_program(program: Path, arm: Arm, config: Config, start_deg: tuple[float, ...]) -> Plan:
+    """Interpret and plan a whole program; raises GcodeError, PlanError and their kin, naming file and line."""
+    moves = read_moves(program, arm, start_deg)
+    return Plan(arm, config, Planner(arm, config, start_deg).plan(moves))
+
+
+async def run_program(program: Path, config: Config, options: RunOptions, watcher: Watcher) -> RunResult:
+    """Run `program` to its end; raises what refuses it before anything moves, returns what ended it later."""
+    arm = Arm.from_config(config)
+    session: BoardSession | None = None
+    try:
+        if options.home:
+            watcher.phase("planning")
+            plan = plan_program(program, arm, config, config.home_deg)
+            session = await _connect(config, options, watcher)
+        else:
+            session = await _connect(config, options, watcher)
+            watcher.phase("planning")
+            plan = plan_program(program, arm, config, _trusted_position(session, arm))
+        return await _play(program, plan, session, arm, config, options, watcher)
+    finally:
+        if session is not None:
+            await session.aclose()
+
+
+async def _connect(config: Config, options: RunOptions, watcher: Watcher) -> BoardSession:
+    watcher.phase("connecting")
+    return await open_session(
+        open_transport(_with_baud(options.port_url, config.link.baud)),
+        board_config_from(config),
+        options.nonce,
+        options.wire_tap,
+    )
+
+
+def _with_baud(url: str, baud: int) -> str:
+    """Serial ports take their speed from the configuration unless the URL names one."""
+    is_path = url.startswith(("/", "./", "../", "~")) or url.upper().startswith("COM")
+    return f"{url}?baud={baud}" if is_path and "?" not in url else url
+
+
+def _trusted_position(session: BoardSession, arm: Arm) -> tuple[float, ...]:
+    status = session.status
+    if status is None or status.trusted_mask & _ARM_MOTORS_MASK != _ARM_MOTORS_MASK:
+        raise RefusedError("the arm is not homed; run without --no-home, or home it first")
+    return tuple(float(angle) for angle in arm.joints_from_motors(status.positions_steps[:5]))
+
+
+async def _play(
+    program: Path,
+    plan: Plan,
+    session: BoardSession,
+    arm: Arm,
+    config: Config,
+    options: RunOptions,
+    watcher: Watcher,
+) -> RunResult:
+    loop = asyncio.get_running_loop()
+    error: Rm501Error | None = None
+    sent: list[PlannedSegment] = []
+    began_s = loop.time()
+    wall_began_s = options.wall_clock_s() if options.wall_clock_s is not None else began_s
+    try:
+        stream = MotionStream(session, config)
+        await stream.prepare()
+        if options.home:
+            await Homing(stream, arm, config).home_all(lambda joint: watcher.phase(f"homing {joint}"))
+        watcher.phase("running")
+        for pieces in _runs_between_marks(plan, watcher):
+            sent += await stream.play(pieces, watcher.progress)
+    except StoppedError as stopped:
+        error = stopped
+    took_s = loop.time() - began_s
+    wall_s = (options.wall_clock_s() if options.wall_clock_s is not None else loop.time()) - wall_began_s
+    stats = session.link.stats
+    frame_s = board_config_from(config).frame_us * 1e-6
+    limits = plan.limits()
+    report = RunReport(
+        program=str(program),
+        result="ok" if error is None else "stopped",
+        cycle_s=round(plan.duration_s, 6),
+        motion_s=round(plan.motion_s, 6),
+        segments=len(sent),
+        wire=WireFigures(stats.bytes_out, stats.bytes_in, stats.retransmits),
+        limits=LimitFigures(limits.joint_velocity_ratio, limits.joint_acceleration_ratio, limits.motor_rate_ratio),
+        tracking=tracking_of(sent, arm, frame_s),
+        speed_ratio=took_s / wall_s if wall_s > 0 else 0.0,
+        faults=[] if error is None else [str(error)],
+    )
+    return RunResult(report, plan, error, sent)
+
+
+def _runs_between_marks(plan: Plan, watcher: Watcher) -> Iterator[list[Piece]]:
+    """The plan cut where the session has to do something at rest."""
+    run: list[Piece] = []
+    for piece in plan.pieces:
+        if piece.kind is not PieceKind.MARK:
+            run.append(piece)
+            continue
+        match piece.move:
+            case Message(text=text):
+                watcher.message(text)
+            case ProgramEnd():
+                break
+            case Pause(kind=kind, source=source):
+                watcher.message(f"{source}: {kind.value} passed without a pause: nobody is there to continue it")
+            case move:
+                raise RefusedError(f"{piece.source}: {type(move).__name__} needs the daemon; start rm501-host serve")
+    yield run
