@@ -1,0 +1,118 @@
+"""What the machine knows about the arm, and how far that may be trusted.
+
+The board says which motors' counts are trusted. The host may trust that only when it is the same boot and the same
+configuration under which those counts were defined: the position file remembers both. Otherwise every joint counts as
+unhomed until it has homed again.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from rm501_host.config import JOINT_NAMES, Config
+from rm501_host.kinematics import Arm
+from rm501_host.storage import PositionFile, PositionRecord
+from rm501_protocol.enums import HandState
+from rm501_protocol.messages import Identify, Status
+
+_ARM_MOTORS = 0b11111
+_WRIST_MOTORS = 0b11000
+_UNKNOWN_STEPS = (0, 0, 0, 0, 0, 0)
+
+
+class ArmState:
+    """Positions, trust and the position file."""
+
+    def __init__(self, arm: Arm, config: Config, file: PositionFile, utc: Callable[[], str]) -> None:
+        self.arm = arm
+        self._config = config
+        self._file = file
+        self._utc = utc
+        self._digest = zlib.crc32(msgspec.json.encode(config))
+        self._boot_id = 0
+        self._vetoed: set[int] = set()
+        self._status: Status | None = None
+
+    @property
+    def warning(self) -> str | None:
+        """What is wrong with the position file, None when nothing is."""
+        return self._file.warning
+
+    def connected(self, identify: Identify, status: Status) -> str:
+        """A session is up; returns a sentence for the log on what is trusted and why."""
+        self._boot_id = identify.boot_id
+        self._status = status
+        record = self._file.read()
+        self._vetoed = set()
+        if not status.trusted_mask & _ARM_MOTORS:
+            return "the board trusts no position: home every joint"
+        reason = None
+        if record is None:
+            reason = "there is no usable position file"
+        elif record.boot_id != identify.boot_id:
+            reason = "the position file belongs to another boot of the board"
+        elif record.config_hash != self._digest:
+            reason = "the position file belongs to another configuration"
+        if reason is None:
+            return "same boot, same configuration: the joints that the board trusts stay homed"
+        self._vetoed = set(range(len(JOINT_NAMES)))
+        return f"{reason}: nothing is trusted, home every joint"
+
+    def update(self, status: Status) -> None:
+        """Take a new status."""
+        self._status = status
+
+    def disconnected(self) -> None:
+        """The link is gone: what was known is shown on, and nothing is trusted until the next session."""
+        self._status = None
+
+    def joint_homed(self, joint: int) -> None:
+        """This joint has homed in this session: from here on the board's trust in it counts."""
+        self._vetoed.discard(joint)
+
+    @property
+    def homed(self) -> tuple[bool, ...]:
+        """Per joint: known and trusted."""
+        if self._status is None:
+            return (False,) * len(JOINT_NAMES)
+        mask = self._status.trusted_mask
+        wrist = mask & _WRIST_MOTORS == _WRIST_MOTORS
+        trusted = (bool(mask & 1), bool(mask & 2), bool(mask & 4), wrist, wrist)
+        return tuple(trust and joint not in self._vetoed for joint, trust in enumerate(trusted))
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Step counts of the motors as commanded."""
+        return _UNKNOWN_STEPS if self._status is None else self._status.positions_steps
+
+    @property
+    def joints_deg(self) -> tuple[float, ...]:
+        """Joint angles that belong to the step counts (counter coordinates while unhomed)."""
+        return tuple(float(angle) for angle in self.arm.joints_from_motors(np.array(self.steps[:5], dtype=float)))
+
+    @property
+    def hand(self) -> str:
+        """The hand as commanded."""
+        return (HandState.UNKNOWN if self._status is None else HandState(self._status.hand)).name
+
+    def unhomed(self) -> tuple[str, ...]:
+        """Names of the joints that are not homed."""
+        return tuple(name for name, homed in zip(JOINT_NAMES, self.homed, strict=True) if not homed)
+
+    def save(self, *, dirty: bool) -> bool:
+        """Write the position file; False when the disk refuses."""
+        return self._file.write(
+            PositionRecord(
+                dirty=dirty,
+                boot_id=self._boot_id,
+                config_hash=self._digest,
+                positions_steps=self.steps,
+                homed=self.homed,
+                hand=self.hand,
+                utc=self._utc(),
+            )
+        )

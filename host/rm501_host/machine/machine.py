@@ -1,0 +1,541 @@
+"""The machine: one arm, its state, who moves it, and what happens when something goes wrong.
+
+`run` supervises for as long as the daemon lives: it keeps the connection (`BoardPort`), follows the board's state, and
+runs at most one motion (`Job`) at a time. Requests come in through the methods; those that move the arm return a
+job at once. STOP, KILL and HOLD wait for nothing.
+
+The state changes through `_apply` only, by the table in `states`. Whatever the board does by itself (a hold button, a
+low queue, a fault, a restart) arrives as a notice and is turned into events there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import deque
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from rm501_host.blackbox import BlackBox
+from rm501_host.config import Config
+from rm501_host.config.board import board_config_from
+from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
+from rm501_host.kinematics import Arm
+from rm501_host.machine import causes
+from rm501_host.machine.arm_state import ArmState
+from rm501_host.machine.board_port import BoardPort
+from rm501_host.machine.jobs import Job, JobBook, JobKind
+from rm501_host.machine.lease import MotionLease, Owner
+from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe, next_state
+from rm501_host.motion import MotionStream
+from rm501_host.session import BoardSession
+from rm501_host.session.board_session import LinkLostError, Notice
+from rm501_host.storage import JsonLog, PositionFile
+from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause
+from rm501_protocol.faults import FaultCode
+from rm501_protocol.link_events import LinkHeard, LinkSilent, StopKind
+from rm501_protocol.messages import (
+    OVERRIDE_ONE,
+    FaultReport,
+    Hold,
+    MotionEnded,
+    Reset,
+    Resume,
+    SetOverride,
+    SetPower,
+    Status,
+    Truncate,
+)
+from rm501_protocol.segment import ONE_STEP
+from rm501_protocol.transport import Transport
+
+_LOGGER = logging.getLogger(__name__)
+_REST_TIMEOUT_S = 15.0
+"""An on-path stop from full speed takes 1.7 s on the thesis's program; this is far above any."""
+_SYSTEM = Owner(0, "the machine")
+
+
+@dataclass(frozen=True, slots=True)
+class MachineParts:
+    """What a machine is given: its connection, its memory, its clocks."""
+
+    open_transport: Callable[[], Coroutine[Any, Any, Transport]]
+    nonce: Callable[[], int]
+    log: JsonLog
+    black_box: BlackBox
+    position_file: PositionFile
+    utc: Callable[[], str]
+
+
+class Machine:
+    """See the module's text. Make it inside the running loop, then run `run` in a task group."""
+
+    def __init__(self, config: Config, parts: MachineParts) -> None:
+        self.config = config
+        self.arm = Arm.from_config(config)
+        self.lease = MotionLease()
+        self.jobs = JobBook()
+        self.log = parts.log
+        self.black_box = parts.black_box
+        self.arm_state = ArmState(self.arm, config, parts.position_file, parts.utc)
+        self.state = MachineState.ESTOP
+        self.cause: causes.Cause | None = causes.CONNECTING
+        self.mode = Mode.MANUAL
+        self.override = 1.0
+        self.job: Job | None = None
+        self.last_job_id = 0
+        self.frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
+        self.stream: MotionStream | None = None
+        self.waiting_for = ""
+        self.messages: deque[str] = deque(maxlen=8)
+        self.last_end: MotionEnded | None = None
+        self._loop = asyncio.get_running_loop()
+        self._tasks: asyncio.TaskGroup | None = None
+        self._continue = asyncio.Event()
+        self._port = BoardPort(
+            parts.open_transport,
+            board_config_from(config),
+            parts.nonce,
+            self._tap,
+            self._link_up,
+            self._link_down,
+            self._notice,
+        )
+        self._listeners: list[Callable[[], None]] = []
+        self._aborting = False
+        self._resets = asyncio.Lock()
+
+    # -------------------------------------------------------------------------------------------- life
+
+    async def run(self, started: Callable[[], None] = lambda: None) -> None:
+        """Supervise until cancelled; a moving arm is then stopped on its path before this returns."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                self._tasks = tasks
+                tasks.create_task(self._port.run(), name="board port")
+                started()
+        finally:
+            self._tasks = None
+
+    async def shut_down(self) -> None:
+        """Bring a moving arm to rest on its path and leave it held; called before `run` is cancelled."""
+        session = self._port.session
+        if session is None or self.job is None:
+            return
+        with contextlib.suppress(Rm501Error):
+            self._abort_now(session)
+            async with asyncio.timeout(_REST_TIMEOUT_S):
+                await self.job.done.wait()
+
+    @property
+    def session(self) -> BoardSession:
+        """The open session; raises NoBoardError with what to do when there is none."""
+        session = self._port.session
+        if session is None or session.failure is not None:
+            cause = self.cause or causes.CONNECTING
+            raise NoBoardError(f"{cause.text}; {cause.remedy}")
+        return session
+
+    @property
+    def connected(self) -> bool:
+        """Whether a session is open."""
+        return self._port.session is not None
+
+    @property
+    def board_status(self) -> Status | None:
+        """The newest status of the board."""
+        session = self._port.session
+        return None if session is None else session.status
+
+    @property
+    def link_silent(self) -> bool:
+        """Whether an open session has not been heard for a second."""
+        session = self._port.session
+        return session is not None and session.link_silent
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What does not work but does not stop motion either."""
+        found = []
+        if self.log.last_error is not None:
+            found.append(f"the log cannot be written ({self.log.last_error}); records stay in memory")
+        found += [text for text in (self.arm_state.warning, self.black_box.warning) if text is not None]
+        return tuple(found)
+
+    def on_change(self, listener: Callable[[], None]) -> None:
+        """Call `listener` whenever the state changed."""
+        self._listeners.append(listener)
+
+    def write_log(self, kind: str, **data: object) -> None:
+        """One record for the log and the black box."""
+        self.black_box.add("log", self.log.write(kind, **data).encode().rstrip())
+
+    @property
+    def planning_start_deg(self) -> tuple[float, ...]:
+        """Joint angles (5,) where the next motion starts: those of the exact mirror, fractions of steps included."""
+        if self.stream is None:
+            return self.arm_state.joints_deg
+        motors = np.array(self.stream.positions_q48[:5], dtype=float) / ONE_STEP
+        return tuple(float(angle) for angle in self.arm.joints_from_motors(motors))
+
+    # ------------------------------------------------------------------------- what everybody may do
+
+    async def stop(self, who: Owner = _SYSTEM, kind: StopKind = StopKind.STOP) -> None:
+        """STOP (category 1) or KILL (category 0): ahead of everything, from anybody, in every state.
+
+        Without a connection this raises NoBoardError: the board then holds on its path by itself.
+        """
+        self.write_log("stop", who=who.name, category=kind.name, state=describe(self.state))
+        self._continue.set()
+        if self.state.task is TaskState.ON:
+            self._apply(Event.STOP)
+            self.cause = causes.OPERATOR_STOP
+        await self.session.stop(kind)
+
+    async def hold(self, who: Owner = _SYSTEM) -> bool:
+        """Feed hold on the path; False when nothing moves. Anybody may."""
+        self.write_log("hold", who=who.name)
+        if self.state is MachineState.RUNNING and self.job is not None and self.job.kind is not JobKind.JOG:
+            self.session.post(Hold())
+            return True
+        if self.state is MachineState.RUNNING:
+            await self.abort(who)
+            return True
+        return self.state in (MachineState.HOLDING, MachineState.HELD)
+
+    # --------------------------------------------------------------------- what the owner may do
+
+    async def resume(self, who: Owner) -> None:
+        """Go on after a hold, a pause of the program, or a single block."""
+        self.lease.require(who)
+        if self.waiting_for:
+            self.write_log("continue", who=who.name, after=self.waiting_for)
+            self._continue.set()
+            return
+        if self.state not in (MachineState.HOLDING, MachineState.HELD):
+            raise RefusedError(f"nothing is held, the machine is {describe(self.state)}; start something first")
+        self.write_log("resume", who=who.name)
+        await self.session.command(
+            Resume(ResumeCause.USER),
+            lambda status: (
+                status.state not in (BoardState.HOLDING, BoardState.HELD) or status.hold_cause is not HoldCause.USER
+            ),
+        )
+
+    async def abort(self, who: Owner) -> None:
+        """End the motion on its path, motors held, position trusted."""
+        self.lease.require(who)
+        job = self.job
+        if job is None:
+            return
+        self.write_log("abort", who=who.name, motion=job.id)
+        self._abort_now(self.session)
+        async with asyncio.timeout(_REST_TIMEOUT_S):
+            await job.done.wait()
+
+    async def set_override(self, ratio: float, who: Owner) -> None:
+        """Feed override 0..1, at once and along the path."""
+        self.lease.require(who)
+        if not 0.0 <= ratio <= 1.0:
+            raise RefusedError(f"override {ratio} is not between 0 and 1; above 1 give the program a speed factor")
+        self.session.post(SetOverride(round(ratio * OVERRIDE_ONE)))
+        self.write_log("override", who=who.name, old=self.override, new=ratio)
+        self.override = ratio
+
+    async def reset(self, who: Owner, fault: str | None = None, *, power: bool = True) -> None:
+        """Leave ESTOP or OFF: clear the fault that is named, drop what is queued, switch the motors on.
+
+        Raises RefusedError naming a fault that was not named, NoBoardError, BoardRefusedError when its cause is still
+        there. Nothing moves.
+        """
+        self.lease.require(who)
+        async with self._resets:
+            session = self.session
+            if self.state.task is TaskState.ON and self.state is not MachineState.IDLE:
+                raise RefusedError(f"the machine is {describe(self.state)}; stop or abort first")
+            if self.state is MachineState.IDLE and session.status is not None and session.status.power:
+                return
+            self.write_log("reset", who=who.name, fault=fault)
+            status = await session.refresh_status()
+            if status.state is BoardState.FAULT:
+                status = await self._clear_fault(session, status, fault)
+            await self._settle(session)
+            if session.status is not None and session.status.state is BoardState.IDLE:
+                session.post(Reset(FaultCode.NONE))
+            if self.state is MachineState.ESTOP:
+                self._apply(Event.RESET)
+            self.cause = causes.AFTER_RESET
+            if power:
+                await self._power_on(session)
+
+    async def power_off(self, who: Owner) -> None:
+        """Motor power off at rest. Where the line is fitted the arm sinks and the position is trusted no longer."""
+        self.lease.require(who)
+        if self.state is MachineState.OFF:
+            return
+        if self.state is not MachineState.IDLE:
+            raise RefusedError(f"the machine is {describe(self.state)}; stop it first")
+        self.write_log("power_off", who=who.name)
+        self._apply(Event.POWER_OFF)
+        self.cause = causes.POWERED_OFF
+        await self.session.command(SetPower(False), lambda status: not status.power)
+
+    def start_job(
+        self, kind: JobKind, who: Owner, body: Callable[[Job], Awaitable[None]], *, homed: bool = True
+    ) -> Job:
+        """Start a motion; raises RefusedError when it may not start now, LeaseHeldError when somebody else moves."""
+        self.lease.require(who)
+        if self.state is not MachineState.IDLE:
+            after = f" ({self.cause.text}; {self.cause.remedy})" if self.cause is not None else ""
+            raise RefusedError(f"{kind.value} is not possible in {describe(self.state)}{after}; nothing moved")
+        if homed and (missing := self.arm_state.unhomed()):
+            raise RefusedError(f"not homed: {', '.join(missing)}; home first, until then joints can be jogged slowly")
+        if self._tasks is None or self.stream is None:
+            raise NoBoardError("the machine does not run; start rm501-host serve")
+        job = self.jobs.new(kind, who)
+        self.lease.begin_motion(who)
+        self.job = job
+        self.last_job_id = job.id
+        self.mode = kind.mode
+        self.last_end = None
+        self._aborting = False
+        self._apply(Event.START)
+        self.write_log("motion", motion=job.id, what=kind.value, who=who.name)
+        self._tasks.create_task(self._run_job(job, body), name=f"motion {job.id}")
+        return job
+
+    async def wait_for_operator(self, what: str) -> None:
+        """A program waits for `resume` (M0, M1, a single block); the state is HELD meanwhile.
+
+        Raises StoppedError when it was stopped or aborted instead.
+        """
+        self._continue.clear()
+        self.waiting_for = what
+        self._apply(Event.HOLD)
+        self._apply(Event.AT_REST)
+        try:
+            await self._continue.wait()
+        finally:
+            self.waiting_for = ""
+        if self._aborting or self.state is not MachineState.HELD:
+            raise StoppedError(f"stopped while waiting for {what}")
+        self._apply(Event.RESUME)
+
+    # -------------------------------------------------------------------------------------- one motion
+
+    async def _run_job(self, job: Job, body: Callable[[Job], Awaitable[None]]) -> None:
+        try:
+            await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=True))
+            await body(job)
+        except Rm501Error as error:
+            job.error = error
+        except Exception as error:
+            _LOGGER.exception("motion %d failed", job.id)
+            job.error = StoppedError(f"an error of the daemon ended the motion: {error!r}; its log has the details")
+            with contextlib.suppress(Rm501Error):
+                await self.stop()
+        finally:
+            self.job = None
+            self.lease.end_motion()
+            self.waiting_for = ""
+            await self._after_motion(job)
+            job.done.set()
+
+    async def _after_motion(self, job: Job) -> None:
+        """Bring the state to where a motion leaves it, and the position file up to date."""
+        session = self._port.session
+        if session is not None and session.failure is None and self.state.task is TaskState.ON:
+            if self.state is not MachineState.STOPPING or self._aborting:
+                with contextlib.suppress(Rm501Error):
+                    # a plan that broke off leaves motion queued that nobody will complete
+                    if session.status is not None and session.status.queue_used:
+                        await self._settle(session)
+            if self.state in (MachineState.HOLDING, MachineState.HELD):
+                self._apply(Event.ABORT)
+            if self.state is MachineState.RUNNING or (self.state is MachineState.STOPPING and self._aborting):
+                self._apply(Event.FINISHED)
+                self.cause = None
+        self._aborting = False
+        text = None if job.error is None else str(job.error)
+        self.write_log("motion_end", motion=job.id, what=job.kind.value, error=text)
+        if self.connected:
+            await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=False))
+        self._changed()
+
+    def _abort_now(self, session: BoardSession) -> None:
+        self._aborting = True
+        self._continue.set()
+        if self.state in (MachineState.RUNNING, MachineState.HOLDING, MachineState.HELD):
+            self._apply(Event.ABORT)
+        session.post(Hold())
+        assert self._tasks is not None
+        self._tasks.create_task(self._truncate_when_held(session))
+
+    async def _truncate_when_held(self, session: BoardSession) -> None:
+        """After a hold for an abort: drop the rest of the queue once the arm is at rest on its path."""
+        with contextlib.suppress(Rm501Error, TimeoutError):
+            await self._settle(session)
+
+    async def _settle(self, session: BoardSession) -> Status:
+        """Bring the board to rest with an empty queue, motors as they are: READY, IDLE or BOOT."""
+        async with asyncio.timeout(_REST_TIMEOUT_S):
+            status = await session.refresh_status()
+            while status.state not in (BoardState.READY, BoardState.IDLE, BoardState.BOOT, BoardState.FAULT):
+                if status.state is BoardState.RUNNING:
+                    session.post(Hold())
+                elif status.state is BoardState.HELD:
+                    session.post(Truncate(status.motion_frame))
+                await asyncio.sleep(0.02)
+                status = await session.refresh_status()
+            if status.state is BoardState.READY and status.queue_used:
+                session.post(Truncate(status.motion_frame))
+                status = await session.refresh_status()
+        return status
+
+    # ---------------------------------------------------------------------------------- reset, power
+
+    async def _clear_fault(self, session: BoardSession, status: Status, named: str | None) -> Status:
+        latched = FaultCode(status.fault)
+        if named is None or named.upper() != latched.name:
+            cause = causes.board_fault(latched)
+            raise RefusedError(f"{cause.text}; {cause.remedy}; a reset has to name the fault: {latched.name}")
+        return await session.command(
+            Reset(latched, master_reset=latched is FaultCode.OVERFLOW),
+            lambda now: now.state is not BoardState.FAULT,
+        )
+
+    async def _power_on(self, session: BoardSession) -> None:
+        stream = MotionStream(session, self.config)
+        old, self.stream = self.stream, None
+        if old is not None:
+            with contextlib.suppress(ValueError):
+                old.detach()
+        await stream.prepare()
+        if self.override != 1.0:
+            session.post(SetOverride(round(self.override * OVERRIDE_ONE)))
+        self.stream = stream
+        self._apply(Event.POWER_ON)
+        self.cause = None
+
+    # ---------------------------------------------------------------------------------- what the board tells
+
+    def _tap(self, now_us: int, direction: str, data: bytes) -> None:
+        self.black_box.add("sent" if direction == "out" else "received", data)
+
+    def _link_up(self, session: BoardSession) -> None:
+        identify, status = session.link.identify, session.status
+        assert identify is not None and status is not None
+        trust = self.arm_state.connected(identify, status)
+        self.write_log("link_up", boot_id=identify.boot_id, build=identify.build, board=status.state.name, trust=trust)
+        if self.cause in (causes.CONNECTING, None) or self.state is not MachineState.ESTOP:
+            self.cause = causes.STARTED
+        if status.state is BoardState.FAULT:
+            self.cause = causes.board_fault(FaultCode(status.fault))
+        self._changed()
+
+    def _link_down(self, error: Rm501Error) -> None:
+        was_up = self._port.session is not None
+        if was_up or self.state is not MachineState.ESTOP:
+            self.stream = None
+            self.arm_state.disconnected()
+            lost_boot = "restart" in str(error) or "session" in str(error)
+            self._fault(causes.BOARD_RESET if lost_boot else causes.link_lost(str(error)), "link lost")
+        elif isinstance(error, NoBoardError):
+            if self.cause is None:
+                self.cause = causes.CONNECTING
+        elif not isinstance(error, LinkLostError):
+            self.cause = causes.refused_connection(str(error))
+        self.log.write("link_down", error=str(error))
+
+    def _notice(self, notice: Notice) -> None:
+        match notice:
+            case Status():
+                self.arm_state.update(notice)
+                self._follow(notice)
+            case FaultReport(fault=fault):
+                self.write_log("fault", fault=fault.name, source=notice.source, value=notice.value, limit=notice.limit)
+                self._fault(causes.board_fault(fault), fault.name)
+            case MotionEnded():
+                self.last_end = notice
+                if self.stream is not None:
+                    self.stream.positions_q48 = notice.positions_q48
+                    self.stream.end_frame = self.session.motion_frames.extend(notice.motion_frame)
+                self.write_log("motion_ended", cause=notice.cause.name, motion_frame=notice.motion_frame)
+            case LinkSilent(silent_us=silent_us):
+                self.write_log("link_silent", silent_us=silent_us)
+                self._changed()
+            case LinkHeard(silent_us=silent_us):
+                self.write_log("link_heard", silent_us=silent_us)
+                self._changed()
+            case _:
+                pass
+
+    def _follow(self, status: Status) -> None:
+        """Take the board's state over into the machine's."""
+        if self.state.task is not TaskState.ON:
+            return
+        state = status.state
+        if state is BoardState.FAULT:
+            self._fault(causes.board_fault(FaultCode(status.fault)), FaultCode(status.fault).name)
+        elif state in (BoardState.IDLE, BoardState.BOOT):
+            self._power_is_off()
+        elif self.state is MachineState.STOPPING or self.waiting_for:
+            return
+        elif state in (BoardState.HOLDING, BoardState.HELD) and self.job is not None:
+            if self.state is MachineState.RUNNING:
+                self._apply(Event.HOLD)
+            if state is BoardState.HELD and self.state is MachineState.HOLDING:
+                self._apply(Event.AT_REST)
+        elif state in (BoardState.RUNNING, BoardState.READY) and self.state in (
+            MachineState.HOLDING,
+            MachineState.HELD,
+        ):
+            self._apply(Event.RESUME)
+
+    def _power_is_off(self) -> None:
+        """The board is without motor power: after a stop, or because it was alone or idle for long."""
+        if self.state is not MachineState.STOPPING:
+            if self.state is MachineState.IDLE:
+                self._apply(Event.POWER_OFF)
+                self.cause = causes.POWERED_OFF
+                return
+            self._apply(Event.STOP)
+        if self.cause is None:
+            self.cause = causes.POWERED_OFF
+        self._apply(Event.STOPPED)
+
+    def _fault(self, cause: causes.Cause, reason: str) -> None:
+        again = self.state is MachineState.ESTOP and self.cause == cause
+        self.cause = cause
+        self._continue.set()
+        if self.state is not MachineState.ESTOP:
+            self._apply(Event.FAULT)
+        if not again:
+            self.write_log("estop", cause=cause.text, remedy=cause.remedy)
+            path = self.black_box.dump(reason)
+            if path is not None:
+                self.write_log("black_box", path=str(path))
+        self._changed()
+
+    def _apply(self, event: Event) -> None:
+        before = self.state
+        self.state = next_state(before, event)
+        if self.state is not before:
+            self.write_log("state", before=describe(before), after=describe(self.state), event=event.value)
+            status = self.board_status
+            if status is not None:
+                self.black_box.add("status", msgspec.json.encode(status, enc_hook=str))
+            self._changed()
+
+    def _changed(self) -> None:
+        for listener in self._listeners:
+            listener()
+
+    def stopped_by_lease(self) -> bool:
+        """Whether the newest end of motion was the end of a jog's lease."""
+        return self.last_end is not None and self.last_end.cause is EndCause.LEASE

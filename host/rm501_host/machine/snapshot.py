@@ -1,0 +1,118 @@
+"""The machine's status, put together from the board's, the arm's and the program's."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from rm501_host.errors import Rm501Error
+from rm501_host.machine.machine import Machine
+from rm501_host.machine.operations import position
+from rm501_host.machine.status import MachineStatus
+from rm501_protocol.board_config import InputId
+from rm501_protocol.enums import BoardState, HoldCause
+from rm501_protocol.faults import FaultCode
+from rm501_protocol.messages import RATE_ONE, Status
+
+_FRAME_MASK = 0xFFFFFFFF
+
+
+class ProgramView(Protocol):
+    """What the status shows of the program."""
+
+    @property
+    def name(self) -> str:
+        """Name of the loaded program, empty without one."""
+        ...
+
+    @property
+    def line(self) -> int:
+        """Line of the motion under way or the last one executed."""
+        ...
+
+    @property
+    def block(self) -> str:
+        """Text of that line."""
+        ...
+
+    @property
+    def progress(self) -> float:
+        """Done share of the path time."""
+        ...
+
+    @property
+    def time_left_s(self) -> float:
+        """Path time left."""
+        ...
+
+    @property
+    def single_block(self) -> bool:
+        """Stop after every block."""
+        ...
+
+    @property
+    def optional_stop(self) -> bool:
+        """Pause at M1."""
+        ...
+
+
+def snapshot(machine: Machine, program: ProgramView, time_s: float) -> MachineStatus:
+    """The status now."""
+    status = machine.board_status
+    arm = machine.arm_state
+    cause = machine.cause
+    homed = arm.homed
+    queue_lead_s = 0.0
+    if status is not None and status.queue_used:
+        frames = (status.queue_end_frame - status.motion_frame) & _FRAME_MASK
+        queue_lead_s = frames * machine.frame_s
+    return MachineStatus(
+        time_s=round(time_s, 4),
+        task_state=machine.state.task.value,
+        run_state=machine.state.run.value,
+        mode=machine.mode.value,
+        cause=_why(machine, status) if cause is None else cause.text,
+        remedy="" if cause is None else cause.remedy,
+        activity=machine.job.kind.value if machine.job is not None else "",
+        motion_id=machine.last_job_id,
+        owner="" if machine.lease.owner is None else machine.lease.owner.name,
+        connected=machine.connected,
+        link_silent=machine.link_silent,
+        board_state="" if status is None else BoardState(status.state).name,
+        hold_cause="" if status is None or not status.hold_cause else HoldCause(status.hold_cause).name,
+        fault="" if status is None or not status.fault else FaultCode(status.fault).name,
+        homed=homed,
+        joints_deg=tuple(round(angle, 4) for angle in arm.joints_deg),
+        position=_position(machine) if all(homed) else None,
+        steps=arm.steps,
+        hand=arm.hand,
+        inputs=() if status is None else tuple(name.name for name in InputId if status.inputs >> name & 1),
+        outputs=0 if status is None else status.outputs,
+        power=status is not None and status.power,
+        rate=0.0 if status is None else round(status.rate / RATE_ONE, 4),
+        override=machine.override,
+        queue_used=0 if status is None else status.queue_used,
+        queue_lead_s=round(queue_lead_s, 3),
+        program=program.name,
+        line=program.line,
+        block=program.block,
+        progress=round(program.progress, 4),
+        time_left_s=round(program.time_left_s, 2),
+        single_block=program.single_block,
+        optional_stop=program.optional_stop,
+        waiting=machine.waiting_for,
+        messages=tuple(machine.messages),
+        warnings=machine.warnings,
+    )
+
+
+def _why(machine: Machine, status: Status | None) -> str:
+    if status is not None and status.hold_cause:
+        return f"held: {HoldCause(status.hold_cause).name}"
+    return ""
+
+
+def _position(machine: Machine) -> tuple[float, ...] | None:
+    try:
+        return tuple(round(value, 3) for value in position(machine))
+    except Rm501Error:
+        return None
