@@ -1,0 +1,568 @@
+"""The interpreter: lines in, canonical calls out, lazily.
+
+    lines -> [fast path: plain G0..G3 blocks] -> canonical calls
+          -> [block cache] -> evaluate -> who uses the axis words? -> execute
+
+It is sans-IO: lines come from a `ProgramLines`, answers of the machine from a `MachineFeedback`, and a consumer takes
+the calls one by one. Nothing is read ahead of the call that was taken, so an answer to M66 or a probe is asked for only
+after the consumer has had the call that needs it. Memory is bounded: parsed blocks are cached up to a limit, lines are
+read in chunks, labels and parameters have limits of their own.
+
+The fast path reads a block of G0 to G3 with plain numbers in the usual order by one regular expression; anything else,
+and every error, goes the long way, so both give the same calls (a property test holds them together).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rm501_host.gcode import canon as c
+from rm501_host.gcode.block import Block
+from rm501_host.gcode.comments import execute_comment
+from rm501_host.gcode.context import BUILT_IN_USER_M, Context, MachineFeedback, OfflineFeedback
+from rm501_host.gcode.coordinates import emit_g5x, emit_g92, emit_rotation
+from rm501_host.gcode.errors import (
+    GcodeError,
+    GcodeFlowError,
+    GcodeLimitError,
+    GcodeModalError,
+    GcodeParameterError,
+    GcodeStoppedError,
+    GcodeWarning,
+    Location,
+)
+from rm501_host.gcode.executor import Evaluated, check_words, end_of_program, execute, resolve_motion
+from rm501_host.gcode.expressions import evaluate, parameter_index, to_integer
+from rm501_host.gcode.flow import Flow, Skip
+from rm501_host.gcode.parameters import G5X, G5X_INDEX, G92, G92_ACTIVE, Parameters
+from rm501_host.gcode.parser import column_of, g_modes, m_modes, parse_block, parse_control
+from rm501_host.gcode.registry import M_IO
+from rm501_host.gcode.source import FileLines, ProgramLines, TextLines
+from rm501_host.gcode.state import State
+from rm501_host.gcode.tools import PEER_DEFAULT_TOOLS, ToolTable
+
+BLOCK_CACHE = 4096
+"""Parsed blocks kept: more than any loop has, a few MB at most."""
+HEARTBEAT_BLOCKS = 10_000
+MAX_WARNINGS = 1000
+
+_NUM = r"([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))"
+_FAST = re.compile(
+    rf"[ \t]*(?:[nN]([0-9]{{1,9}})[ \t]*(?=[^0-9. \t]))?(?:[gG]0?([0-3])(?![0-9.])[ \t]*)?(?:[fF][ \t]*{_NUM}[ \t]*)?"
+    + "".join(rf"(?:[{a}{a.upper()}][ \t]*{_NUM}[ \t]*)?" for a in "xyzabcijr")
+    + rf"(?:[fF][ \t]*{_NUM}[ \t]*)?\Z"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How to read programs. The defaults are the arm's; `as_peer` is `rs274 -g`'s."""
+
+    machine_units: c.Units = c.Units.MM
+    """Unit of the variable file, the tool table and #5161 to #5390."""
+    block_delete: bool = False
+    """Skip blocks that begin with `/`."""
+    subroutine_path: tuple[Path, ...] = ()
+    """Folders searched for `NAME.ngc` when a called subroutine is not in the program."""
+    user_m: Mapping[int, c.UserMKind] = field(default_factory=lambda: dict(BUILT_IN_USER_M))
+    peer_standalone: bool = False
+    start_line: int = 1
+    """Begin at this line (from 1) of the main program, with the modes its earlier lines leave behind."""
+    max_blocks: int | None = None
+    """End with an error after so many blocks; None reads on for ever."""
+
+    @classmethod
+    def as_peer(cls, **changes: object) -> Settings:
+        """The settings under which listings compare with `rs274 -g`: machine units inch."""
+        base: dict[str, object] = {"machine_units": c.Units.INCH, "peer_standalone": True}
+        return cls(**{**base, **changes})  # type: ignore[arg-type]  # the fields' own types hold at run time
+
+
+def default_tools(settings: Settings) -> ToolTable:
+    """An empty table, or the peer's built-in one."""
+    return ToolTable(PEER_DEFAULT_TOOLS if settings.peer_standalone else ())
+
+
+class Interpreter:
+    """Reads one program. `calls()` yields its canonical calls; `warnings` grows meanwhile."""
+
+    def __init__(
+        self,
+        source: ProgramLines,
+        settings: Settings | None = None,
+        *,
+        tools: ToolTable | None = None,
+        variables: Path | None = None,
+        feedback: MachineFeedback | None = None,
+        on_warning: Callable[[GcodeWarning], None] | None = None,
+    ) -> None:
+        self.settings = settings or Settings()
+        self.source = source
+        self.state = State(machine_units=self.settings.machine_units)
+        table = tools.copy() if tools is not None else default_tools(self.settings)
+        self.parameters = Parameters(self.state, table)
+        if variables is not None:
+            self.parameters.load(variables)
+        self.warnings: list[GcodeWarning] = []
+        self._on_warning = on_warning
+        self._out: list[c.CanonCall] = []
+        self._context = Context(
+            state=self.state,
+            parameters=self.parameters,
+            tools=table,
+            feedback=feedback or OfflineFeedback(),
+            emit=self._out.append,
+            warn=self._warn,
+            user_m=self.settings.user_m,
+            machine_units=self.settings.machine_units,
+            peer_standalone=self.settings.peer_standalone,
+        )
+        self._flow = Flow(source, self._find_file, scope=(source.name, ""))
+        self._cache: dict[str, Block] = {}
+        self._stop = False
+        self._ended = False
+        self._opened: list[FileLines] = []
+        self._start_state()
+
+    def _start_state(self) -> None:
+        state, parameters = self.state, self.parameters
+        state.g5x_index = max(1, min(9, round(parameters.numbered[G5X_INDEX])))
+        first = G5X + 20 * (state.g5x_index - 1)
+        state.g5x = parameters.axes(first)
+        state.rotation_deg = parameters.numbered[first + 9]
+        if parameters.numbered[G92_ACTIVE] != 0.0:
+            state.g92 = parameters.axes(G92)
+        state.position = state.program_position([0.0] * 6)
+
+    # -- for the consumer
+
+    def stop(self) -> None:
+        """Ask the interpreter to stop: the next block raises GcodeStoppedError. May be called from another thread."""
+        self._stop = True
+
+    def set_position(self, machine_mm_deg: tuple[float, float, float, float, float, float]) -> None:
+        """Tell where the tool is before the first block: machine coordinates, mm and deg."""
+        factor = self.state.units.mm
+        machine = [v / factor if i < 3 else v for i, v in enumerate(machine_mm_deg)]
+        self.state.position = self.state.program_position(machine)
+
+    def calls(self) -> Iterator[c.CanonCall]:
+        """The canonical calls of the program, lazily. Raises GcodeError; what came before it has been yielded."""
+        out = self._out
+        self._prologue()
+        try:
+            for _ in self._steps():
+                if out:
+                    yield from out
+                    out.clear()
+        except GcodeError as error:
+            self._locate(error)
+            yield from out
+            out.clear()
+            self._signal(c.Signal.ON_RESET)
+            self._signal(c.Signal.ON_RESET)
+            yield from out
+            out.clear()
+            raise
+        finally:
+            for file in self._opened:
+                file.close()
+            self._opened.clear()
+        yield from out
+        out.clear()
+        self._signal(c.Signal.ON_RESET)
+        self._signal(c.Signal.ON_RESET)
+        yield from out
+        out.clear()
+
+    # -- inside
+
+    def _signal(self, signal: c.Signal) -> None:
+        at = self._context.at
+        self._out.append(c.SignalCall(signal, Location(at.file, at.line)))
+
+    def _prologue(self) -> None:
+        ctx = self._context
+        ctx.at = Location(self.source.name, 0)
+        self._out.append(c.UseLengthUnits(self.state.units, ctx.at))
+        emit_g5x(ctx)
+        emit_g92(ctx)
+        emit_rotation(ctx)
+        self._signal(c.Signal.SET_FEED_REFERENCE_XYZ)
+        self._signal(c.Signal.ON_RESET)
+
+    def _warn(self, message: str) -> None:
+        self._warn_at(message, self._context.at)
+
+    def _warn_at(self, message: str, at: Location) -> None:
+        warning = GcodeWarning(message, at)
+        if len(self.warnings) < MAX_WARNINGS and warning not in self.warnings[-10:]:
+            self.warnings.append(warning)
+            if self._on_warning is not None:
+                self._on_warning(warning)
+
+    def _locate(self, error: GcodeError) -> None:
+        if error.location is None:
+            error.location = self._context.at
+            if error.offset is not None:
+                error.column = column_of(error.location.block, error.offset)
+        if not error.call_stack:
+            error.call_stack = self._flow.call_stack()
+
+    def _find_file(self, label: str) -> ProgramLines | None:
+        for folder in self.settings.subroutine_path:
+            path = folder / f"{label}.ngc"
+            if "/" not in label and "\\" not in label and path.is_file():
+                file = FileLines.open(path)
+                self._opened.append(file)
+                return file
+        return None
+
+    def _steps(self) -> Iterator[None]:
+        """Run block by block; control comes back after every block that made calls."""
+        flow, ctx, out, cache = self._flow, self._context, self._out, self._cache
+        parameters = self.parameters
+        fast = self._fast
+        source = flow.source
+        base = 0
+        lines: list[str] = []
+        silent = blocks = 0
+        limit = self.settings.max_blocks
+        percent = self._skip_to_program()
+        while True:
+            if flow.source is not source:
+                source, base, lines = flow.source, 0, []
+            index = flow.pc
+            local = index - base
+            if not 0 <= local < len(lines):
+                base, lines = source.block(index)
+                local = index - base
+                if not lines:
+                    self._end_of_file(percent)
+                    return
+            text = lines[local]
+            flow.pc = index + 1
+            if ctx.pending is not None:
+                self._take_answer()
+            if flow.skip is Skip.NO and fast(text, index + 1, source.name):
+                silent = 0
+                yield None
+                blocks += 1
+            else:
+                if "\0" in text:
+                    text = self._cut_at_nul(text, source.name, index + 1)
+                parameters.line = index + 1
+                if percent and text.lstrip()[:1] == "%" and source is self.source:
+                    ctx.at = Location(source.name, index + 1, text)
+                    self._finish_percent(text)
+                    return
+                block = cache.get(text) if flow.skip is Skip.NO else None
+                if block is None:
+                    block = self._parse(text, source.name, index + 1)
+                if block is not None and self._run_block(block, text, source.name, index + 1):
+                    if percent:
+                        out.append(c.Comment("interpreter: percent sign missing from end of file", ctx.at))
+                    self._warn_unfinished()
+                    return
+                blocks += 1
+                silent += 1
+                if out:
+                    silent = 0
+                    yield None
+                elif silent >= HEARTBEAT_BLOCKS:
+                    silent = 0
+                    out.append(c.Heartbeat(HEARTBEAT_BLOCKS, ctx.at))
+                    yield None
+            if self._stop:
+                raise GcodeStoppedError("the interpreter was asked to stop")
+            if limit is not None and blocks > limit:
+                raise GcodeLimitError(
+                    f"the program did not end within {limit} blocks", "It may loop for ever; raise the limit if not."
+                )
+
+    def _take_answer(self) -> None:
+        pending, self._context.pending = self._context.pending, None
+        if pending is not None:
+            pending()
+
+    def _cut_at_nul(self, text: str, name: str, line: int) -> str:
+        text = text[: text.index("\0")]
+        self._warn_at("NUL byte: the rest of the line is ignored", Location(name, line, text))
+        return text
+
+    def _skip_to_program(self) -> bool:
+        """Skip empty lines; True when the program is bracketed by percent signs."""
+        flow = self._flow
+        index = 0
+        while True:
+            base, lines = flow.source.block(index)
+            if not lines:
+                return False
+            for line in lines[index - base :]:
+                stripped = line.strip()
+                if stripped:
+                    if stripped == "%":
+                        flow.pc = index + 1
+                        return True
+                    return False
+                index += 1
+
+    def _finish_percent(self, text: str) -> None:
+        if text.strip() != "%":
+            raise GcodeFlowError("text behind a percent sign", "Only a comment-free % may end the program.")
+        self._signal(c.Signal.FINISH)
+
+    def _end_of_file(self, percent: bool) -> None:
+        flow, ctx = self._flow, self._context
+        if flow.skip is not Skip.NO and flow.skip_at is not None:
+            what = {
+                Skip.DEFINITION: ("endsub", "this subroutine"),
+                Skip.SEEK: ("beginning", "the subroutine called here"),
+                Skip.BRANCH: ("endif", "this branch"),
+                Skip.LOOP: ("end", "this loop"),
+                Skip.CONTINUE: ("end", "this loop"),
+            }[flow.skip]
+            ctx.at = flow.skip_at
+            searched = ", ".join(str(p) for p in self.settings.subroutine_path)
+            hint = f" Folders searched: {searched or 'none'}." if flow.skip is Skip.SEEK else ""
+            raise GcodeFlowError(
+                f"the file ended before the {what[0]} of {what[1]}: o<{flow.skip_label}>",
+                f"Add it, or check the label.{hint}",
+            )
+        ctx.at = Location(flow.source.name, flow.pc + 1)
+        if percent:
+            raise GcodeFlowError("file ended with no percent sign", "End the program with % or M2.")
+        raise GcodeFlowError("file ended with no percent sign or program end", "End the program with M2.")
+
+    def _warn_unfinished(self) -> None:
+        """A loop that was begun but has no end in the rest of the file is probably a mistake."""
+        flow = self._flow
+        for label, known in list(flow.labels.items())[:100]:
+            if (label[0], label[1]) == (flow.source.name, "") and known.keyword in ("while", "repeat", "do"):
+                ending = "while" if known.keyword == "do" else f"end{known.keyword}"
+                pattern = re.compile(rf"\s*/?\s*(?:n[0-9]+\s*)?o\s*<?\s*{re.escape(label[2])}\s*>?\s*{ending}", re.I)
+                if not self._find_line(pattern, known.line + 1):
+                    self._warn_at(f"missing {ending} for this {known.keyword}", known.at)
+
+    def _find_line(self, pattern: re.Pattern[str], index: int, most: int = 10_000) -> bool:
+        stop = index + most
+        while index < stop:
+            base, lines = self._flow.source.block(index)
+            if not lines:
+                return False
+            for line in lines[index - base :]:
+                if pattern.match(line):
+                    return True
+            index = base + len(lines)
+        return True
+
+    # -- one block
+
+    def _parse(self, text: str, name: str, line: int) -> Block | None:
+        try:
+            if self._flow.skip is not Skip.NO:
+                return parse_control(text)
+            block = parse_block(text)
+        except GcodeError:
+            self._context.at = Location(name, line, text)
+            raise
+        cache = self._cache
+        if len(cache) >= BLOCK_CACHE:
+            cache.clear()
+        cache[text] = block
+        return block
+
+    def _run_block(self, block: Block, text: str, name: str, line: int) -> bool:
+        """Evaluate and execute; True at the end of the program."""
+        if block.empty or (block.deletable and self.settings.block_delete):
+            return False
+        ctx, parameters = self._context, self.parameters
+        ctx.at = Location(name, line, text, block.number)
+        if block.only_assignments:
+            self._assign(block)
+            return False
+        if block.oword is not None:
+            skipping = self._flow.skip
+            self._flow.control(ctx, block.oword)
+            if block.comment is not None and skipping is Skip.NO and self._flow.skip is Skip.NO:
+                execute_comment(ctx, block.comment)
+            return False
+        words = block.constant_words
+        if words is None:
+            words = {}
+            for letter, node, offset in block.words:
+                try:
+                    words[letter] = evaluate(node, parameters)
+                except GcodeError as error:
+                    if error.offset is None:
+                        error.offset = offset
+                    raise
+        g = block.g_modes
+        if g is None:
+            g = g_modes([(evaluate(node, parameters), at) for node, at in block.g_words])
+        m = block.m_modes
+        if m is None:
+            m = m_modes([(evaluate(node, parameters), at) for node, at in block.m_words])
+        evaluated = Evaluated(words, g, m)
+        try:
+            resolve_motion(self.state, evaluated)
+            check_words(self.state, evaluated)
+        except GcodeModalError as error:
+            self._point_at_word(error, block)
+            raise
+        if block.assignments:
+            self._assign(block)
+        if block.comment is not None:
+            execute_comment(ctx, block.comment)
+        ended = execute(ctx, evaluated)
+        call = m.get(M_IO)
+        if call is not None and call >= 98:
+            return self._fanuc(call, words)
+        return ended
+
+    def _point_at_word(self, error: GcodeError, block: Block) -> None:
+        """Errors that begin with a letter and 'word' are about that word."""
+        letter = error.message[:1].lower()
+        if error.offset is None and error.message[1:6] == " word":
+            for word, _, offset in block.words:
+                if word == letter:
+                    error.offset = offset
+
+    def _fanuc(self, code: int, words: Mapping[str, float]) -> bool:
+        ctx = self._context
+        if code == 98:
+            if "p" not in words:
+                raise GcodeFlowError("found 'M98' code with no P-word", "P is the number of the subroutine.")
+            label = str(to_integer(words["p"], "P, the subroutine"))
+            self._flow.fanuc_call(ctx, label, to_integer(words.get("l", 1.0), "L, the repeats"))
+            return False
+        if self._flow.fanuc_return(ctx):
+            self._warn("M99 in the main program ends it")
+            end_of_program(ctx, exchange=False)
+            return True
+        return False
+
+    def _assign(self, block: Block) -> None:
+        """Parallel assignment: every value is read before the first is written."""
+        parameters = self.parameters
+        if len(block.assignments) == 1:
+            target, node, offset = block.assignments[0]
+            value = node if isinstance(node, float) else node(parameters)
+            if type(target) is int and target < 5000:
+                parameters.numbered[target] = value
+                return
+            values = [(target, value, offset)]
+        else:
+            values = [(t, evaluate(n, parameters), o) for t, n, o in block.assignments]
+        for target, value, offset in values:
+            try:
+                if isinstance(target, str):
+                    parameters.write_named(target, value)
+                else:
+                    index = target if isinstance(target, int) else parameter_index(target(parameters), offset)
+                    parameters.write_numbered(index, value)
+            except GcodeParameterError as error:
+                if error.offset is None:
+                    error.offset = offset
+                raise
+
+    # -- the fast path
+
+    def _fast(self, text: str, line: int, name: str) -> bool:
+        """Read and execute a plain G0 to G3 block; False leaves it to the long way, untouched."""
+        match = _FAST.match(text)
+        if match is None:
+            return False
+        state = self.state
+        n, g, feed_first, x, y, z, a, b, cc, i, j, r, feed = match.groups()
+        if g is None:
+            motion = state.motion
+            if motion != 10 and motion != 0:
+                return False
+            if x is None and y is None and z is None and a is None and b is None and cc is None:
+                return False
+        else:
+            motion = 10 * int(g)
+            if motion >= 20:
+                return False
+        if i is not None or j is not None or r is not None:
+            return False
+        if (
+            not state.absolute
+            or state.inverse_time
+            or state.rotation is not None
+            or (feed is not None and feed_first is not None)
+            or len(text) > 252
+        ):
+            return False
+        if feed is None:
+            feed = feed_first
+        at = Location(name, line, text, None if n is None else int(n))
+        position = state.position
+        if x is None and y is None and z is None and a is None and b is None and cc is None:
+            return False
+        if feed is not None:
+            rate = float(feed)
+            if rate < 0.0 or (rate == 0.0 and motion == 10):
+                return False
+            state.feed = rate
+            self._out.append(c.SetFeedRate(rate, at))
+        elif motion == 10 and state.feed == 0.0:
+            return False
+        if x is not None:
+            position[0] = float(x)
+        if y is not None:
+            position[1] = float(y)
+        if z is not None:
+            position[2] = float(z)
+        if a is not None:
+            position[3] = float(a)
+        if b is not None:
+            position[4] = float(b)
+        if cc is not None:
+            position[5] = float(cc)
+        target = (position[0], position[1], position[2], position[3], position[4], position[5])
+        state.motion = motion
+        state.nurbs = None
+        state.spline_tangent = None
+        self._out.append(c.StraightTraverse(target, at) if motion == 0 else c.StraightFeed(target, at))
+        self._context.at = at
+        return True
+
+
+def interpret(
+    text: str,
+    settings: Settings | None = None,
+    *,
+    name: str = "<text>",
+    tools: ToolTable | None = None,
+    variables: Path | None = None,
+    feedback: MachineFeedback | None = None,
+    on_warning: Callable[[GcodeWarning], None] | None = None,
+) -> Iterator[c.CanonCall]:
+    """Canonical calls of a program in memory, lazily. Raises GcodeError."""
+    return Interpreter(
+        TextLines(text, name), settings, tools=tools, variables=variables, feedback=feedback, on_warning=on_warning
+    ).calls()
+
+
+def interpret_file(
+    path: Path,
+    settings: Settings | None = None,
+    *,
+    tools: ToolTable | None = None,
+    variables: Path | None = None,
+    feedback: MachineFeedback | None = None,
+    on_warning: Callable[[GcodeWarning], None] | None = None,
+) -> Iterator[c.CanonCall]:
+    """Canonical calls of a program file of any size, lazily. Raises GcodeError (GcodeFileError when unreadable)."""
+    source = FileLines.open(path)
+    try:
+        yield from Interpreter(
+            source, settings, tools=tools, variables=variables, feedback=feedback, on_warning=on_warning
+        ).calls()
+    finally:
+        source.close()
