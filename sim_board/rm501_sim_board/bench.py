@@ -95,7 +95,6 @@ class Bench:
         )
         self.heartbeat_edges = 0
         self._relay = Terminal.MOTOR_POWER not in self.boards.wiring.wires
-        self.on_settle: list[Callable[[int], None]] = []
         self._pressed: set[InputId] = set()
         self._forced: dict[InputId, bool] = {}
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
@@ -104,6 +103,8 @@ class Bench:
         self._pending_words = 0
         self._decoded_periods = 0
         self._settled_frame = -1
+        self._missed_strobes = 0.0
+        self._watches: list[tuple[Joint, float, float, Callable[[], None]]] = []
         self._steady_until = 0
         self._touched = False
         self._active: dict[InputId, bool] = {}
@@ -146,6 +147,8 @@ class Bench:
             steady = min(steady, self._agenda[0][0] - frame)
         angles = self.plant.joint_deg
         bounds = self.plant.joint_speed_bounds_deg_per_frame()
+        for joint, side, at_deg, _ in self._watches:
+            steady = min(steady, max(1, int(side * (at_deg - angles[joint]) / bounds[joint])))
         for switch, angle, bound in zip(self.switches, angles, bounds, strict=True):
             if steady <= 1:
                 break
@@ -179,11 +182,21 @@ class Bench:
         self._decode()
         self.boards.wiring = wiring
 
+    def miss_strobes(self, probability: float) -> None:
+        """Let each strobe edge go unseen by all boards with that probability."""
+        self._decode()
+        self._missed_strobes = probability
+
     def at_frame(self, frame: int, action: Callable[[], None]) -> None:
         """Have `action` happen at the start of real `frame`, before the inputs of that frame are read."""
         heapq.heappush(self._agenda, (frame, self._agenda_count, action))
         self._agenda_count += 1
         self._steady_until = min(self._steady_until, frame)
+
+    def when_passing(self, joint: Joint, upwards: bool, angle_deg: float, action: Callable[[], None]) -> None:
+        """Call `action` once, when the true angle of `joint` is first seen at or past `angle_deg`."""
+        self._watches.append((joint, 1.0 if upwards else -1.0, angle_deg, action))
+        self._steady_until = 0
 
     def truth(self, frame: int | None = None) -> Truth:
         """The state of the world at the last settled frame, or at `frame` when all its port words are known."""
@@ -219,11 +232,19 @@ class Bench:
         self._settled_frame = frame
         while self._agenda and self._agenda[0][0] <= frame:
             heapq.heappop(self._agenda)[2]()
-        for hook in self.on_settle:
-            hook(frame)
+        if self._watches:
+            self._look_at_watches()
         self._sense(frame)
 
     # ------------------------------------------------------------ internal
+
+    def _look_at_watches(self) -> None:
+        angles = self.plant.joint_deg
+        passed = [w for w in self._watches if w[1] * (angles[w[0]] - w[2]) >= 0.0]
+        if passed:
+            self._watches = [w for w in self._watches if w not in passed]
+            for *_, action in passed:
+                action()
 
     def _build_plant(self) -> Plant:
         parameters = self.parameters
@@ -258,12 +279,27 @@ class Bench:
         words = self._pending[0] if len(self._pending) == 1 else np.concatenate(self._pending)
         self._pending.clear()
         self._pending_words = 0
+        if self._missed_strobes:
+            words = self._without_some_strobes(words)
         activity = self.boards.decode(words, self._decoded_periods)
         self._decoded_periods = activity.end_period
         self.recording.add_activity(activity)
         self.heartbeat_edges += activity.heartbeat_edges
         self._drive_hand(activity)
         self.plant.feed(activity)
+
+    def _without_some_strobes(self, words: WordArray) -> WordArray:
+        """Hold the strobe pins inactive in a random choice of periods, drawn by period, not by block."""
+        wire = standard_wiring().wires[Terminal.STROBE_724]
+        periods = self._decoded_periods + np.arange(len(words), dtype=np.uint64)
+        # A hash of seed and period: the same edges are missed however the run is cut.
+        mixed = (periods + np.uint64(self.seed)) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+        mixed *= np.uint64(0xBF58476D1CE4E5B9)
+        missed = (mixed >> np.uint64(11)).astype(np.float64) * 2.0**-53 < self._missed_strobes
+        bit = np.uint32(1 << wire.bit)
+        inactive = words | bit if wire.inverted else words & ~bit
+        return np.where(missed, inactive, words).astype(np.uint32)
 
     def _drive_hand(self, activity: BusActivity) -> None:
         """Power pulses in their order of time, between changes of power; a changed load goes to the plant."""

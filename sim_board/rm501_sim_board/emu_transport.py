@@ -1,88 +1,96 @@
 """`emu://`: an emulated board in this process, on whatever event loop runs.
 
-    emu://                                  preset ideal, seed 0
-    emu://?preset=real&seed=7               the same with dynamics
-    emu://bench1?vcd=run.vcd&trace=run.npz  a named board; files are written when it closes
+    emu://                                    preset ideal, seed 0
+    emu://?preset=real&seed=7                 the same with dynamics
+    emu://?fault=stall:motor=elbow@2.5s       faults, any number of them
+    emu://bench1?vcd=run.vcd&trace=run.npz    a named board; files are written when it ends
 
-A named board lives on when its transport closes (a pulled plug) and is found again by its name, until
-`shut_down(name)` or the end of the loop. Unnamed boards end with their transport.
+A board ends with its transport. A named one lives on and is found again by its name until `shut_down(name)`; one whose
+plug was pulled (fault `unplug`) is found again by its URL.
 """
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
+from weakref import WeakKeyDictionary
 
 from rm501_protocol.transport import Receiver
 from rm501_sim_board.emulator import Emulator, EmulatorOptions
-from rm501_sim_board.errors import BenchConfigError
+from rm501_sim_board.errors import BenchConfigError, SimBoardError
+from rm501_sim_board.fault_injection import FaultInjector, check_fault
+from rm501_sim_board.fault_spec import FaultSpec, parse_fault
 from rm501_sim_board.pacing import DEFAULT_BAUD, DEFAULT_TICK_S, PacedBoard
 from rm501_sim_board.presets import preset
 from rm501_sim_board.recording import DEFAULT_KEEP_WORDS
+from rm501_sim_board.running import RunningBoard, RunOptions
 
-_KEYS = ("preset", "seed", "baud", "record", "vcd", "trace", "firmware", "tick_ms")
-_running: dict[tuple[int, str], PacedBoard] = {}
-
-
-@dataclass(frozen=True, slots=True)
-class EmuUrl:
-    """An `emu://` URL taken apart."""
-
-    name: str
-    options: EmulatorOptions
-    baud: int | None
-    tick_s: float
-    vcd: Path | None
-    trace: Path | None
+_KEYS = ("preset", "seed", "baud", "record", "vcd", "trace", "firmware", "tick_ms", "fault")
+_boards: WeakKeyDictionary[asyncio.AbstractEventLoop, dict[str, RunningBoard]] = WeakKeyDictionary()
 
 
-def parse_url(url: str) -> EmuUrl:
-    """Take an `emu://` URL apart; raises BenchConfigError naming the parameter that is wrong."""
+def parse_url(url: str) -> tuple[str, RunOptions]:
+    """Name (may be empty) and options of an `emu://` URL; BenchConfigError names the parameter that is wrong."""
     parts = urlsplit(url)
     if parts.scheme != "emu":
         raise BenchConfigError(f"{url!r}: not an emu:// URL")
     query: dict[str, str] = {}
+    faults: list[FaultSpec] = []
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key not in _KEYS:
             raise BenchConfigError(f"{url!r}: unknown parameter {key!r}; use {', '.join(_KEYS)}")
-        query[key] = value
+        if key == "fault":
+            faults.append(parse_fault(value))
+            check_fault(faults[-1])
+        else:
+            query[key] = value
     firmware = query.get("firmware", "fast")
     if firmware not in ("fast", "reference"):
         raise BenchConfigError(f"{url!r}: firmware is fast or reference, not {firmware!r}")
-    baud = _integer(url, query, "baud", DEFAULT_BAUD, 0)
-    options = EmulatorOptions(
+    emulator = EmulatorOptions(
         parameters=preset(query.get("preset", "ideal")),
         seed=_integer(url, query, "seed", 0, 0),
         firmware=firmware,
         keep_words=_integer(url, query, "record", DEFAULT_KEEP_WORDS, 0),
     )
-    return EmuUrl(
-        name=parts.netloc,
-        options=options,
-        baud=baud or None,
+    options = RunOptions(
+        emulator=emulator,
+        baud=_integer(url, query, "baud", DEFAULT_BAUD, 0) or None,
         tick_s=_integer(url, query, "tick_ms", round(DEFAULT_TICK_S * 1000), 1) / 1000,
+        faults=tuple(faults),
         vcd=Path(query["vcd"]) if query.get("vcd") else None,
         trace=Path(query["trace"]) if query.get("trace") else None,
     )
+    return parts.netloc, options
 
 
 class EmuTransport:
-    """The host's end of an emulated serial line. `emulator` is the handle to everything behind it."""
+    """The host's end of an emulated serial line. `emulator` and `faults` are the handles to what is behind it."""
 
-    def __init__(self, url: EmuUrl, board: PacedBoard) -> None:
-        self.board = board
-        self._url = url
+    def __init__(self, running: RunningBoard, key: str, lasting: bool) -> None:
+        self.running = running
+        self._key = key
+        self._lasting = lasting
         self._receiver: Receiver | None = None
         self._early: list[bytes] = []
         self._closed = False
-        board.attach(self._deliver)
+        running.board.attach(self._deliver, self._plug)
 
     @property
     def emulator(self) -> Emulator:
         """The emulated controller and its bench."""
-        return self.board.emulator
+        return self.running.emulator
+
+    @property
+    def board(self) -> PacedBoard:
+        """The board as it runs on the loop, with its line."""
+        return self.running.board
+
+    @property
+    def faults(self) -> FaultInjector:
+        """Makes faults happen."""
+        return self.running.faults
 
     @property
     def packets(self) -> bool:
@@ -102,30 +110,30 @@ class EmuTransport:
             receiver.data_received(data)
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the board."""
+        """Send bytes to the board; ConnectionError after the end."""
         if self._closed:
-            raise ConnectionResetError("the emulated line is closed")
+            raise ConnectionResetError("the emulated line is closed; open the port again")
         self.board.write(data)
 
-    def lose_connection(self, exc: Exception | None = None) -> None:
-        """Pull the plug: the host is told at once, the board hears nothing more."""
+    async def aclose(self) -> None:
+        """Close the line; a board without a name ends with it and its files are written."""
         if self._closed:
             return
-        self._end(exc or ConnectionResetError("the emulated line was unplugged"))
-
-    async def aclose(self) -> None:
-        """Close the line; an unnamed board ends with it and its files are written."""
-        if not self._closed:
-            self._end(None)
-
-    def _end(self, exc: Exception | None) -> None:
         self._closed = True
         self.board.detach()
-        if not self._url.name:
-            self.board.close()
-            write_files(self._url, self.board)
+        if not self._lasting:
+            _boards_here().pop(self._key, None)
+            self.running.close()
         if self._receiver is not None:
-            self._receiver.connection_lost(exc)
+            self._receiver.connection_lost(None)
+
+    def _plug(self, plugged: bool) -> None:
+        if plugged or self._closed:
+            return
+        # The board runs on without its cable; the same URL finds it again.
+        self._closed = True
+        if self._receiver is not None:
+            self._receiver.connection_lost(ConnectionResetError("the emulated line was unplugged"))
 
     def _deliver(self, data: bytes) -> None:
         if self._closed:
@@ -137,43 +145,37 @@ class EmuTransport:
 
 
 async def open_transport(url: str) -> EmuTransport:
-    """Open `emu://...`: power up a board, or find a named one again. OSError tells what is wrong with the URL."""
+    """Open `emu://...`: power up a board, or find one again. OSError tells what is wrong, and what to do."""
     try:
-        parsed = parse_url(url)
-    except BenchConfigError as error:
+        name, options = parse_url(url)
+    except SimBoardError as error:
         raise OSError(str(error)) from error
-    loop = asyncio.get_running_loop()
-    key = (id(loop), parsed.name)
-    board = _running.get(key) if parsed.name else None
-    if board is None:
-        board = PacedBoard(Emulator(parsed.options), loop, baud=parsed.baud, tick_s=parsed.tick_s)
-        if parsed.name:
-            _running[key] = board
-    return EmuTransport(parsed, board)
+    boards = _boards_here()
+    key = name or url
+    running = boards.get(key)
+    if running is not None and (name or not running.board.plugged or not running.board.attached):
+        if not running.board.plugged:
+            raise OSError(f"{url}: the emulated line is unplugged; put the plug back")
+    else:
+        running = RunningBoard.power_up(options, asyncio.get_running_loop())
+        boards[key] = running
+    return EmuTransport(running, key, bool(name))
 
 
-def running_board(name: str) -> PacedBoard:
-    """The named board on the running loop; KeyError when there is none."""
-    return _running[id(asyncio.get_running_loop()), name]
+def running_board(name: str) -> RunningBoard:
+    """The board of that name (or URL) on the running loop; KeyError when there is none."""
+    return _boards_here()[name]
 
 
-def shut_down(name: str) -> PacedBoard:
-    """Switch a named board off and forget it."""
-    board = _running.pop((id(asyncio.get_running_loop()), name))
-    board.close()
-    return board
+def shut_down(name: str) -> RunningBoard:
+    """Switch a named board off, write its files and forget it."""
+    running = _boards_here().pop(name)
+    running.close()
+    return running
 
 
-def write_files(url: EmuUrl, board: PacedBoard) -> None:
-    """Write the VCD and the trace that the URL asks for."""
-    if url.vcd is not None:
-        from rm501_sim_board.vcd import write_vcd
-
-        write_vcd(board.emulator.bench, url.vcd)
-    if url.trace is not None:
-        from rm501_sim_board.traces import write_trace
-
-        write_trace(board.emulator.bench, url.trace)
+def _boards_here() -> dict[str, RunningBoard]:
+    return _boards.setdefault(asyncio.get_running_loop(), {})
 
 
 def _integer(url: str, query: dict[str, str], key: str, default: int, least: int) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 
 from rm501_firmware_model import Board, FastBoard
 from rm501_protocol.board_config import OUTPUT_LINES, RM501_BOARD
+from rm501_protocol.framing import PacketCodec
 from rm501_sim_board.bench import Bench, Truth
 from rm501_sim_board.plant import FrameClock
 from rm501_sim_board.presets import BenchParameters
@@ -105,6 +106,10 @@ class Emulator:
         """Bytes that the board has sent since the last call."""
         return b"" if self.in_reset else self.board.transmit()
 
+    def transmit_packets(self) -> list[bytes]:
+        """The same, one item a packet, for boards built for packets."""
+        return [] if self.in_reset else self.board.transmit_packets()
+
     def advance_to(self, frame: int) -> None:
         """Run the board to real `frame`; nothing happens when it is there already."""
         self._asked_frame = max(frame, self._asked_frame)
@@ -123,4 +128,5 @@ class Emulator:
     def _boot(self) -> Board:
         pins = _PinsSinceBoot(self.bench, self._first_frame)
         epoch = int(self._boots.integers(1, 1 << 32))
-        return _BOARDS[self.options.firmware](RM501_BOARD, pins, epoch)
+        codec = PacketCodec() if self.options.packets else None
+        return _BOARDS[self.options.firmware](RM501_BOARD, pins, epoch, codec=codec)

@@ -45,6 +45,8 @@ class PacedBoard:
         self.to_host = LineModel(bytes_per_second, stream(seed, "line to host"))
         # Hooks of faults: what the board sends passes through here before it enters the line.
         self.alter_sent: Callable[[bytes], bytes] | None = None
+        self.can_reorder_probability = 0.0
+        self.packets = emulator.options.packets
         self.plugged = True
         self._tick_s = tick_s
         self._origin_s = loop.time()
@@ -68,6 +70,11 @@ class PacedBoard:
     def closed(self) -> bool:
         """Whether the board has been switched off for good."""
         return self._closed
+
+    @property
+    def attached(self) -> bool:
+        """Whether somebody listens."""
+        return self._listener is not None
 
     def attach(self, listener: Listener, on_plug: Callable[[bool], None] | None = None) -> None:
         """From now on `listener` gets what the board sends; `on_plug` hears when the plug is pulled and put back."""
@@ -124,6 +131,7 @@ class PacedBoard:
         """Pull the plug between host and board; the host's end is told."""
         if self.plugged:
             self.plugged = False
+            self._listener = None
             if self._on_plug is not None:
                 self._on_plug(False)
 
@@ -178,11 +186,13 @@ class PacedBoard:
         self._timer = self.loop.call_at(time_s, self._tick)
 
     def _collect(self) -> None:
-        data = self.emulator.transmit()
-        if not data:
-            return
-        if self.alter_sent is not None:
-            data = self.alter_sent(data)
+        if self.packets:
+            for packet in self.emulator.transmit_packets():
+                self._send_to_host(packet)
+        elif data := self.emulator.transmit():
+            self._send_to_host(data if self.alter_sent is None else self.alter_sent(data))
+
+    def _send_to_host(self, data: bytes) -> None:
         arrival_s, data = self.to_host.send(data, self.loop.time())
         if data and self.plugged:
             self.loop.call_at(arrival_s, self._deliver, data)

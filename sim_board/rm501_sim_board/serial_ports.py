@@ -32,22 +32,11 @@ class PtyPort:
         self._loop = loop
         self._link = link
         self.lost_bytes = 0
-        self._master, self._slave = os.openpty()
-        self.device = os.ttyname(self._slave)
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        if link.is_symlink():
-            link.unlink()
-        elif link.exists():
-            self._close_files()
-            raise BenchConfigError(f"{link} exists and is no symbolic link; choose another name for --pty")
-        try:
-            link.symlink_to(self.device)
-        except OSError as error:
-            self._close_files()
-            raise BenchConfigError(f"cannot make the link {link}: {error.strerror}") from error
-        loop.add_reader(self._master, self._readable)
-        board.attach(self._send)
+        self.device = ""
+        if link.exists() and not link.is_symlink():
+            raise BenchConfigError(f"{link} exists and is no symbolic link; choose another name")
+        self._set_raw = tty.setraw
+        self._open()
 
     @property
     def description(self) -> str:
@@ -56,22 +45,56 @@ class PtyPort:
 
     async def aclose(self) -> None:
         """Remove the link and close the terminal."""
-        self._loop.remove_reader(self._master)
         self._board.detach()
+        self._close()
+
+    def _open(self) -> None:
+        self._master, self._slave = os.openpty()
+        self.device = os.ttyname(self._slave)
+        self._set_raw(self._slave)
+        os.set_blocking(self._master, False)
+        try:
+            if self._link.is_symlink():
+                self._link.unlink()
+            self._link.symlink_to(self.device)
+        except OSError as error:
+            self._close_files()
+            raise BenchConfigError(f"cannot make the link {self._link}: {error.strerror}") from error
+        self._loop.add_reader(self._master, self._readable)
+        self._board.attach(self._send, self._plug)
+
+    def _plug(self, plugged: bool) -> None:
+        """The cable was pulled or put back: the device goes and comes, under the same link."""
+        if plugged:
+            self._open()
+        else:
+            self._close()
+
+    def _close(self) -> None:
+        if not self.device:
+            return
+        self._loop.remove_reader(self._master)
         if self._link.is_symlink() and os.readlink(self._link) == self.device:
             self._link.unlink()
         self._close_files()
 
     def _close_files(self) -> None:
+        self.device = ""
         os.close(self._master)
         os.close(self._slave)
 
     def _readable(self) -> None:
         # EIO: the last user closed the terminal; the next one opens it again.
         with contextlib.suppress(BlockingIOError, OSError):
-            self._board.write(os.read(self._master, _READ_BYTES))
+            self._received(os.read(self._master, _READ_BYTES))
+
+    def _received(self, data: bytes) -> None:
+        self._board.write(data)
 
     def _send(self, data: bytes) -> None:
+        self._put(data)
+
+    def _put(self, data: bytes) -> None:
         try:
             written = os.write(self._master, data)
         except BlockingIOError:
@@ -120,10 +143,10 @@ class TcpPort:
 
     def take(self, client: asyncio.Transport) -> bool:
         """A client has connected; False when the line is busy."""
-        if self._client is not None:
+        if self._client is not None or not self._board.plugged:
             return False
         self._client = client
-        self._board.attach(self._send)
+        self._board.attach(self._send, self._plug)
         return True
 
     def leave(self, client: asyncio.Transport) -> None:
@@ -131,6 +154,10 @@ class TcpPort:
         if self._client is client:
             self._client = None
             self._board.detach()
+
+    def _plug(self, plugged: bool) -> None:
+        if not plugged and self._client is not None:
+            self._client.abort()
 
     def receive(self, data: bytes) -> None:
         """Bytes from the client."""

@@ -102,6 +102,10 @@ class Switch:
             return max(1, until_glitch)
         return max(1, min(int(margin_deg / speed_deg_per_frame), until_glitch))
 
+    def restart_glitches(self, frame: int) -> None:
+        """The rate of needles has changed: draw the next one anew."""
+        self._next_glitch_frame = self._draw_glitch(frame)
+
     def _depth_deg(self, joint_deg: float) -> float:
         """How deep the joint is past the release edge, positive on the active side."""
         return self._side * (self.parameters.angle_deg + self._offset_deg - joint_deg)
