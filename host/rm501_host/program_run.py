@@ -71,10 +71,20 @@ class RunResult:
     segments: list[PlannedSegment] = field(default_factory=list)
 
 
-def plan_program(program: Path, arm: Arm, config: Config, start_deg: tuple[float, ...]) -> Plan:
+def plan_program(
+    program: Path,
+    arm: Arm,
+    config: Config,
+    start_deg: tuple[float, ...],
+    on_warning: Callable[[str], None] | None = None,
+) -> Plan:
     """Interpret and plan a whole program; raises GcodeError, PlanError and their kin, naming file and line."""
-    moves = read_moves(program, arm, start_deg)
-    return Plan(arm, config, Planner(arm, config, start_deg).plan(moves))
+    planner = Planner(arm, config, start_deg)
+    moves = read_moves(program, arm, lambda: tuple(planner.q_deg.tolist()), on_warning)
+    plan = Plan(arm, config, planner.plan(moves))
+    if not plan.pieces or plan.motion_s == 0.0:
+        raise RefusedError(f"{program}: nothing in it moves; is it the right file?")
+    return plan
 
 
 async def run_program(program: Path, config: Config, options: RunOptions, watcher: Watcher) -> RunResult:
@@ -84,12 +94,12 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
     try:
         if options.home:
             watcher.phase("planning")
-            plan = plan_program(program, arm, config, config.home_deg)
+            plan = plan_program(program, arm, config, config.home_deg, watcher.message)
             session = await _connect(config, options, watcher)
         else:
             session = await _connect(config, options, watcher)
             watcher.phase("planning")
-            plan = plan_program(program, arm, config, _trusted_position(session, arm))
+            plan = plan_program(program, arm, config, _trusted_position(session, arm), watcher.message)
         return await _play(program, plan, session, arm, config, options, watcher)
     finally:
         if session is not None:

@@ -170,23 +170,28 @@ class MotionStream:
                 batch = await self._loop.run_in_executor(None, list, islice(source, _BATCH))
                 exhausted = not batch
                 waiting.extend(batch)
-            while waiting and session.link.segment_credit > 0:
+            while waiting and self._room() > 0:
                 planned = waiting.popleft()
                 session.post(planned.segment)
                 sent.append(planned)
                 self._take(planned)
                 await asyncio.sleep(0)
             filled = exhausted and not waiting
-            if not started and sent and (filled or session.link.segment_credit <= 0):
+            if not started and sent and (filled or self._room() <= 0):
                 session.post(Start())
                 started = True
-            self._resume_after_low_water(filled or session.link.segment_credit <= 0)
+            self._resume_after_low_water(filled or self._room() <= 0)
             if on_progress is not None:
                 on_progress(self._progress(first_frame))
             if filled and self._at_rest_at_the_end(bool(sent)):
                 return sent
-            if filled or session.link.segment_credit <= 0:
+            if filled or self._room() <= 0:
                 await asyncio.sleep(_POLL_S)
+
+    def _room(self) -> int:
+        """Segments that the board will have room for once what the link holds has arrived."""
+        link = self._session.link
+        return link.segment_credit - link.pending
 
     def _take(self, planned: PlannedSegment) -> None:
         segment = planned.segment
