@@ -353,8 +353,8 @@ class Machine:
             if self.state is not MachineState.STOPPING or self._aborting:
                 with contextlib.suppress(Rm501Error):
                     # a plan that broke off leaves motion queued that nobody will complete
-                    if session.status is not None and session.status.queue_used:
-                        await self._settle(session)
+                    if job.error is not None and self.last_end is None:
+                        await self.resync()
             if self.state in (MachineState.HOLDING, MachineState.HELD):
                 self._apply(Event.ABORT)
             if self.state is MachineState.RUNNING or (self.state is MachineState.STOPPING and self._aborting):
@@ -416,11 +416,28 @@ class Machine:
             with contextlib.suppress(ValueError):
                 old.detach()
         await stream.prepare()
+        await self._snap(stream)
         if self.override != 1.0:
             session.post(SetOverride(round(self.override * OVERRIDE_ONE)))
         self.stream = stream
         self._apply(Event.POWER_ON)
         self.cause = None
+
+    async def resync(self) -> None:
+        """After a motion that broke off in an unknown place: come to rest, take over the board's positions."""
+        stream, session = self.stream, self.session
+        await self._settle(session)
+        if stream is not None and session.status is not None and session.status.state is BoardState.READY:
+            await stream.prepare()
+            await self._snap(stream)
+
+    async def _snap(self, stream: MotionStream) -> None:
+        """Put the board's fraction of a step to 0, as the mirror's is: the arm stands on whole steps anyway."""
+        status = self.board_status
+        mask = 0 if status is None else status.trusted_mask & 0b11111
+        steps = {motor: stream.positions_steps[motor] for motor in range(5) if mask >> motor & 1}
+        if steps:
+            await stream.set_positions(steps)
 
     # ---------------------------------------------------------------------------------- what the board tells
 
