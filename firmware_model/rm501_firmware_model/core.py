@@ -162,7 +162,7 @@ class Core:
         motion = self.motion
         if motion.moving:
             if motion.frame(real_frame & FRAME_MASK):
-                if motion.notices:
+                if motion.notices & Notice.EVENT:
                     self.fire_events()
                 motion.play()
                 if self.stepgen.late:
@@ -305,6 +305,8 @@ class Core:
         """What motion time has come to in this frame."""
         notices = self.motion.notices
         self.motion.notices = 0
+        if notices & Notice.HALF_EMPTY:
+            self.reports |= Report.STATUS
         if notices & Notice.LOW_WATER and self.answers(Stimulus.LOW_WATER):
             self.hold(HoldCause.LOW_WATER)
         if notices & Notice.UNDERRUN and self.answers(Stimulus.UNDERRUN):

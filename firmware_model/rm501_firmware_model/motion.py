@@ -55,6 +55,7 @@ class Notice(IntFlag):
     DRAINED = 4  # the queue is empty and the arm at rest
     UNDERRUN = 8  # the queue is empty at speed: never with checked segments
     EVENT = 16  # an event is due before this motion frame
+    HALF_EMPTY = 32  # the queue has just become half empty: a host that waits for free slots should know
 
 
 class Motion:
@@ -210,6 +211,8 @@ class Motion:
         at_rest = queue.flags[queue.head] & SegmentFlag.ENDS_AT_REST
         queue.pop()
         self.played = 0
+        if queue.count == queue.slots >> 1:
+            self.notices |= Notice.HALF_EMPTY
         if queue.count == 0:
             self.rate = 0
             self.moving = 0

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from dataclasses import replace
 
 from rm501_firmware_model import BoardLayout
 from rm501_protocol.board_config import RM501_BOARD, BoardConfig
 from rm501_protocol.enums import SegmentFlag
-from rm501_protocol.segment import A_SHIFT, ONE_STEP, V_SHIFT, position_q48, velocity_q48
+from rm501_protocol.segment import A_SHIFT, ONE_STEP, V_SHIFT, motor_extremes, position_q48, velocity_q48
 from rm501_protocol.segment_message import MotorTerm, Segment, SegmentEvent, hand_event
 
 FRAME_MASK = 0xFFFFFFFF
@@ -133,3 +134,52 @@ class LegalMotion:
             length = min(frames, 20_000)
             yield self.segment(length, dict.fromkeys(self.layout.moved, 0))
         yield self.segment(10, {}, flags=SegmentFlag.ENDS_AT_REST)
+
+
+def slopes_for(layout: BoardLayout, segment: Segment, ratio: int = 2) -> tuple[int, int]:
+    """Hold and stop slopes so that no motor exceeds `ratio` (hold) or `ratio + 1` (stop) times its limit while ramping.
+
+    slope = (ratio A - |a|) / |v| in rate per frame, the least over the motors, in 2^-20.
+    """
+    hold = stop = 0xFFFF
+    for term in segment.motors:
+        v_min, v_max, a_min, a_max = motor_extremes(term, segment.length_frames)
+        v, a = max(-v_min, v_max, 1), max(-a_min, a_max)
+        limit = layout.max_acceleration[term.motor]
+        hold = min(hold, ((ratio * limit - a) << 20) // v)
+        stop = min(stop, (((ratio + 1) * limit - a) << 20) // v)
+    return max(1, hold), max(1, stop)
+
+
+def swinging_program(rng: random.Random, swings: int, config: BoardConfig = RM501_BOARD) -> list[Segment]:
+    """A program like an arm's: all motors go somewhere near full speed and come to rest there, over and over, with hand strokes.
+
+    Slopes are those that the host would declare, so ramps use the acceleration limits fully.
+    """
+    motion = LegalMotion(rng, config)
+    layout = motion.layout
+    made: list[Segment] = []
+
+    def add(segment: Segment) -> None:
+        hold, stop = slopes_for(layout, segment)
+        made.append(motion.take(replace(segment, hold_slope=hold, stop_slope=stop)))
+
+    for _ in range(swings):
+        share = rng.uniform(0.3, 1.0)
+        top = {motor: int(layout.max_speed[motor] * 0.95 * rng.uniform(-share, share)) for motor in layout.moved}
+        length = max(abs(top[motor]) * 10 // (8 * layout.max_acceleration[motor]) + 2 for motor in layout.moved)
+        pieces = rng.randint(1, 4)
+        for piece in range(1, pieces + 1):
+            add(motion.segment(length // pieces + 1, {m: top[m] * piece // pieces for m in top}))
+        for _ in range(rng.randint(0, 3)):
+            add(motion.segment(rng.randint(5, 600), top))
+        for segment in motion.plan_rest():
+            add(segment)
+        if rng.random() < 0.3:
+            pulses = rng.choice((1, -1)) * rng.randint(10, 300)
+            add(
+                motion.segment(
+                    3 * abs(pulses) + 10, {}, flags=SegmentFlag.ENDS_AT_REST, events=(hand_event(0, pulses),)
+                )
+            )
+    return made
