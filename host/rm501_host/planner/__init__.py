@@ -3,11 +3,12 @@
 from .errors import JointLimitError, OrientationError, PlanError, UnreachableError
 from .joint_moves import plan_joint_move
 from .limits import Limits
-from .pieces import EventKind, Law, Piece, PieceEvent, PieceKind
+from .pieces import Action, EventKind, Law, Piece, PieceEvent, PieceKind
 from .plan import LimitRatios, Plan, PlanSamples
 from .planner import Planner
 
 __all__ = [
+    "Action",
     "EventKind",
     "JointLimitError",
     "Law",

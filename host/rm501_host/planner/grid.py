@@ -24,11 +24,13 @@ from .geometry import PathPoints, path_points
 from .limits import Limits
 from .timelaw import IntervalLines, mvc, solve_lines, strips
 
-LONGEST_INTERVAL_MM = 0.4
+LONGEST_INTERVAL_MM = 0.25
 """First cut of an element (deg in joint space); time-optimality wants some intervals per acceleration phase."""
-MOST_FIRST_INTERVALS = 96
-"""First cut of a long element; 96 cost 0.1 % of the time of a rest-to-rest line."""
-BEND_TOLERANCE = 0.004
+FEWEST_INTERVALS = 32
+"""On a whole path, however short: from rest to rest over one interval there would be no speed at all."""
+MOST_FIRST_INTERVALS = 200
+"""first cut of a long element; 200 cost 0.3 % of the time of a rest-to-rest line."""
+BEND_TOLERANCE = 0.001
 """Largest bend, relative to its limit, that is not refined but subtracted."""
 MARGIN = 2e-6
 """Relative distance kept from every limit, for rounding."""
@@ -89,8 +91,8 @@ class GridBuilder:
         coarse: bool = False,
     ) -> None:
         self._arm = arm
-        self._most_first = 16 if coarse else MOST_FIRST_INTERVALS
-        self._bend_tolerance = 0.05 if coarse else BEND_TOLERANCE
+        self._most_first = 40 if coarse else MOST_FIRST_INTERVALS
+        self._bend_tolerance = 0.004 if coarse else BEND_TOLERANCE
         self._limits = limits
         self._check_limits = check_limits
         tcp = limits.tcp_acceleration_mm_s2
@@ -153,6 +155,7 @@ class GridBuilder:
 
     def _first_cut(self, table: ElementTable) -> tuple[Indices, Array, Array]:
         counts = np.clip(np.ceil(table.length / LONGEST_INTERVAL_MM), 1, self._most_first).astype(np.intp)
+        counts *= -(-FEWEST_INTERVALS // int(counts.sum()))
         element = np.repeat(np.arange(len(table)), counts)
         ends = np.cumsum(counts)
         within = np.arange(len(element)) - np.repeat(ends - counts, counts)

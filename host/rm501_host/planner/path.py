@@ -13,10 +13,12 @@ import numpy as np
 
 from rm501_host.kinematics import Arm, Branch, IkResult
 from rm501_host.kinematics import OrientationError as KinematicsOrientationError
-from rm501_host.moves import ArcMove, Feed, FeedMode, JointMove, LinearMove, RapidMove, Source, Target
+from rm501_host.moves import ArcMove, Feed, FeedMode, JointMove, LinearMove, RapidMove, Source, SplineMove, Target
 
 from .elements import Array, Element, Space, arc, line
 from .errors import JointLimitError, OrientationError, PlanError, UnreachableError
+from .orientation import OrientedCurve, check_residual
+from .splines import SplineCurve
 
 SHORTEST = 1e-7
 """Below this many mm or deg a move is none."""
@@ -41,6 +43,7 @@ class PathBuilder:
         self.q_deg = np.array(start_deg, dtype=np.float64)
         self.branch: Branch = arm.branch_of(self.q_deg)
         self.task = task_values(arm, self.q_deg)
+        self._rpy = self._orientation()
 
     def use_tool(self, length_mm: float, offset_mm: tuple[float, float]) -> None:
         """From here on the tool centre point is another one; the joints stay."""
@@ -52,6 +55,11 @@ class PathBuilder:
         self.q_deg = np.array(q_deg, dtype=np.float64)
         self.branch = self.arm.branch_of(self.q_deg)
         self.task = task_values(self.arm, self.q_deg)
+        self._rpy = self._orientation()
+
+    def _orientation(self) -> tuple[float, float, float]:
+        target = self.arm.program_from_joints(self.q_deg)
+        return (target[3], target[4], target[5])
 
     def rapid(self, move: RapidMove) -> Element | None:
         """G0; None when it does not move."""
@@ -92,7 +100,28 @@ class PathBuilder:
         if abs(move.angle_deg) < SHORTEST:
             return None
         element = arc(self.task, end, centre, axis, radians(move.angle_deg), move.source)
-        return with_feed(self._onto(element, end), move.feed)
+        return with_feed(self._onto(element, end, move.target), move.feed)
+
+    def spline(self, move: SplineMove) -> Element | None:
+        """G5, G5.1, G5.2; None when it does not move."""
+        if len(move.control_points_mm) < 2:
+            return None
+        points = self.arm.frame.base_from_program(np.array(move.control_points_mm, dtype=np.float64))
+        angles = (float(self.task[3]), float(self.task[4]))
+        try:
+            curve = SplineCurve(points, move.weights, move.knots, move.degree, angles)
+        except ValueError as error:
+            raise PlanError(
+                str(error), source=move.source, remedy="give the points, weights and knots of a curve"
+            ) from error
+        if curve.length_mm < SHORTEST:
+            return None
+        apart = float(np.linalg.norm(points[0] - self.task[:3]))
+        if apart > 1e-6:
+            raise PlanError(f"the curve starts {apart:.4g} mm away from where the tool is", source=move.source)
+        end = np.array([*points[-1], *angles])
+        element = Element(Space.TASK, curve.length_mm, np.zeros((4, 5)), move.source, curve=curve)
+        return with_feed(self._onto(element, end, move.target), move.feed)
 
     def _line(self, target: Target, source: Source) -> Element | None:
         end = self._task_of(target, source)
@@ -101,10 +130,17 @@ class PathBuilder:
             length = float(np.linalg.norm(end[3:] - self.task[3:]))
             if length < SHORTEST:
                 return None
-        return self._onto(line(Space.TASK, self.task, end, length, source), end)
+        return self._onto(line(Space.TASK, self.task, end, length, source), end, target)
 
-    def _onto(self, element: Element, end: Array) -> Element:
-        """The element on the current branch; the path now ends at `end`."""
+    def _onto(self, element: Element, end: Array, target: Target) -> Element:
+        """The element on the current branch, with the orientation on the way; the path now ends at `end`."""
+        if self.arm.frame.has_rpy:
+            rpy = (target[3], target[4], target[5])
+            curve = OrientedCurve(self.arm, self.branch, element, self._rpy, rpy, self.task, float(self.q_deg[0]))
+            check_residual(curve, self.arm.frame.tolerance_deg, element.source)
+            element = replace(element, curve=curve, omega=0.0)
+            end = np.array([*end[:3], *curve.end_angles_deg])
+            self._rpy = rpy
         q_deg, ok = self.arm.ik_batch(end[None, :3], end[3:4], end[4:5], self.branch, float(self.q_deg[0]))
         if not ok[0]:
             self._refuse_end(end, element)
@@ -186,6 +222,6 @@ def with_feed(element: Element, feed: Feed) -> Element:
 
 
 def _moves_tool(element: Element) -> bool:
-    if element.curve is not None or element.omega:
+    if isinstance(element.curve, SplineCurve) or element.cosine.any():
         return True
     return bool(np.abs(element.coefficients[1:, :3]).max() * element.length > SHORTEST)

@@ -15,6 +15,15 @@ from rm501_host.moves import Move, Source
 Array = NDArray[np.float64]
 
 
+class Action(Protocol):
+    """Anything else in a stream of moves that the session acts upon; the planner only brings the arm to rest."""
+
+    @property
+    def source(self) -> Source:
+        """The block that asks for it."""
+        ...
+
+
 class PieceKind(Enum):
     """What a piece is."""
 
@@ -87,7 +96,7 @@ class Piece:
     starts_at_rest: bool = True
     ends_at_rest: bool = True
     events: tuple[PieceEvent, ...] = ()
-    move: Move | None = None
+    move: Move | Action | None = None
     motion_s: float = 0.0
     arm: Arm | None = None
 

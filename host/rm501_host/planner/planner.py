@@ -32,11 +32,10 @@ from rm501_host.moves import (
 
 from .corners import Corner, CornerMaker
 from .elements import Array, Element
-from .errors import PlanError
 from .grid import GridBuilder
 from .limits import Limits
 from .path import PathBuilder
-from .pieces import EventKind, Piece, PieceEvent, PieceKind
+from .pieces import Action, EventKind, Piece, PieceEvent, PieceKind
 from .window import Stretch, Window
 
 CHUNK_ELEMENTS = 256
@@ -77,7 +76,7 @@ class Planner:
         """The limits it plans under."""
         return self._limits
 
-    def plan(self, moves: Iterable[Move]) -> Iterator[Piece]:
+    def plan(self, moves: Iterable[Move | Action]) -> Iterator[Piece]:
         """Yield the pieces of the law; raises PlanError at the move that cannot be planned, after all before it."""
         for move in moves:
             yield from self._take(move)
@@ -88,7 +87,7 @@ class Planner:
         self._corners = CornerMaker(self._path.arm, self._limits)
         self._window = Window(self._path.arm, builder, self._frame_s)
 
-    def _take(self, move: Move) -> Iterator[Piece]:
+    def _take(self, move: Move | Action) -> Iterator[Piece]:
         match move:
             case RapidMove():
                 yield from self._add(self._path.rapid(move))
@@ -99,7 +98,7 @@ class Planner:
             case JointMove():
                 yield from self._add(self._path.joint(move))
             case SplineMove():
-                raise PlanError("splines are not planned yet", source=move.source, remedy="use G2 and G3")
+                yield from self._add(self._path.spline(move))
             case PathModeChange():
                 self._mode = move.mode
                 self._tolerance_mm = move.tolerance_mm or 0.0
@@ -131,7 +130,7 @@ class Planner:
                 yield from self._stop()
                 yield self._mark(move)
 
-    def _mark(self, move: Move) -> Piece:
+    def _mark(self, move: Move | Action) -> Piece:
         return Piece(
             PieceKind.MARK,
             move.source,

@@ -33,7 +33,9 @@ class _Flat:
     length: float
 
 
-def round_lines(first: Element, second: Element, tolerance_mm: float, sharpest_rad: float) -> tuple[float, Element] | None:
+def round_lines(
+    first: Element, second: Element, tolerance_mm: float, sharpest_rad: float
+) -> tuple[float, Element] | None:
     """Distance that is cut off both lines and the arc between them; None for reversals and for no corner."""
     a = first.coefficients[1, :3]
     b = second.coefficients[1, :3]
@@ -86,10 +88,10 @@ def round_curves(
     rho, (cx, cy, before, after, _) = best
     centre = corner + cx * t1 + cy * across
     start, start_slope = first.at(first.length - before)
-    end, end_slope = second.at(after)
-    turn = atan2(
-        float(np.cross(start_slope[:3], end_slope[:3]) @ normal), float(start_slope[:3] @ end_slope[:3])
-    ) % (2.0 * pi)
+    _, end_slope = second.at(after)
+    turn = atan2(float(np.cross(start_slope[:3], end_slope[:3]) @ normal), float(start_slope[:3] @ end_slope[:3])) % (
+        2.0 * pi
+    )
     return (
         before,
         after,
@@ -115,9 +117,7 @@ def _arc_between(
         coefficients = np.zeros((4, 5))
         coefficients[0, 3:] = start[3:]
     else:
-        coefficients = hermite(
-            Space.TASK, start, start_slope, end, end_slope, length, first.source
-        ).coefficients.copy()
+        coefficients = hermite(Space.TASK, start, start_slope, end, end_slope, length, first.source).coefficients.copy()
         coefficients[1:, :3] = 0.0
     coefficients[0, :3] = centre
     return Element(
@@ -236,4 +236,3 @@ def _run(flat: _Flat, cx: float, cy: float, sign: float) -> float | None:
     angle = atan2(qx * py - qy * px, qx * px + qy * py)
     run = sign * angle * signed
     return run if run >= 0.0 else None
-

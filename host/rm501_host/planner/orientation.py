@@ -1,0 +1,143 @@
+"""Orientations given as roll, pitch, yaw along a path (XYZABC): pitch and roll of the arm that follow from them.
+
+The tool turns from its orientation at the start to that at the end about one fixed axis, by an angle proportional to
+the way (angle-axis, thesis 4.2). At each place the arm's plane is given by the waist, so the arm's pitch and roll are
+functions of place and orientation; what the arm cannot take is refused with the residual angle. Their derivatives
+come from five-point central differences: the functions are smooth on a scale of the arm's reach, and at a step of
+0.1 mm truncation and rounding both stay below 1e-9 of their values.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rm501_host.kinematics import Arm, Branch
+from rm501_host.kinematics.program_frame import read_orientation_rows
+from rm501_host.kinematics.rotations import matrix_from_rpy
+from rm501_host.moves import Source
+
+from .elements import Array, Element
+from .errors import OrientationError
+
+_STEP = 0.1
+_KNOTS = 129
+
+
+class OrientedCurve:
+    """A path of the tool centre point with a tool orientation that turns about one axis.
+
+    `places`: gives x, y, z; `first_rpy_deg`, `last_rpy_deg`: program frame; `start_task` (5,): where it starts.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        branch: Branch,
+        places: Element,
+        first_rpy_deg: tuple[float, float, float],
+        last_rpy_deg: tuple[float, float, float],
+        start_task: Array,
+        waist_deg: float,
+    ) -> None:
+        self._arm = arm
+        self._branch = branch
+        self._places = places
+        self._waist_deg = waist_deg
+        self._first = arm.frame.rotation @ matrix_from_rpy(first_rpy_deg)
+        last = arm.frame.rotation @ matrix_from_rpy(last_rpy_deg)
+        self._vector = _rotation_vector(self._first.T @ last)
+        self._knots = np.linspace(0.0, places.length, _KNOTS)
+        pitch, roll, residual = self._angles(self._knots)
+        self.residual_deg = float(np.nanmax(residual)) if len(residual) else 0.0
+        self.residual_place = float(self._knots[int(np.nanargmax(residual))])
+        self._pitch_knots = start_task[3] + _unwrapped(pitch, float(start_task[3]))
+        self._roll_knots = start_task[4] + _unwrapped(roll, float(start_task[4]))
+
+    @property
+    def end_angles_deg(self) -> tuple[float, float]:
+        """Pitch and roll at the end, without jumps from the start."""
+        return float(self._pitch_knots[-1]), float(self._roll_knots[-1])
+
+    def evaluate(self, s: Array) -> tuple[Array, Array, Array]:
+        """Values, first and second derivatives, each (n, 5)."""
+        values, slopes, bends = self._places.evaluate(s)
+        h = _STEP
+        pitch, roll = [], []
+        for k in (-2, -1, 0, 1, 2):
+            p, r = self._continuous(s + k * h)
+            pitch.append(p)
+            roll.append(r)
+        for column, f in ((3, pitch), (4, roll)):
+            values[:, column] = f[2]
+            slopes[:, column] = (f[0] - 8.0 * f[1] + 8.0 * f[3] - f[4]) / (12.0 * h)
+            bends[:, column] = (-f[0] + 16.0 * f[1] - 30.0 * f[2] + 16.0 * f[3] - f[4]) / (12.0 * h * h)
+        return values, slopes, bends
+
+    def _continuous(self, s: Array) -> tuple[Array, Array]:
+        pitch, roll, _ = self._angles(s)
+        near_pitch = np.interp(s, self._knots, self._pitch_knots)
+        near_roll = np.interp(s, self._knots, self._roll_knots)
+        return (
+            pitch - 360.0 * np.rint((pitch - near_pitch) / 360.0),
+            roll - 360.0 * np.rint((roll - near_roll) / 360.0),
+        )
+
+    def _angles(self, s: Array) -> tuple[Array, Array, Array]:
+        xyz = self._places.evaluate(s)[0][:, :3]
+        wanted = self._first @ _rotations(self._vector, s / self._places.length)
+        waist, pitch, roll = read_orientation_rows(
+            self._arm.geometry, xyz, wanted, self._branch.is_front, self._waist_deg
+        )
+        got = self._arm.fk_batch(np.stack((waist, np.zeros_like(waist), np.zeros_like(waist), pitch, roll), axis=1))[1]
+        cosine = 0.5 * (np.einsum("nij,nij->n", wanted, got) - 1.0)
+        return pitch, roll, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def check_residual(curve: OrientedCurve, tolerance_deg: float, source: Source) -> None:
+    """Raise OrientationError where five joints cannot take the orientation somewhere on the way."""
+    # below 1e-6 deg the arc cosine's rounding decides
+    if curve.residual_deg > max(tolerance_deg, 2e-6):
+        raise OrientationError(
+            f"on the way the tool would have to point {curve.residual_deg:.4g} deg away from what five joints reach",
+            source=source,
+            place_mm=curve.residual_place,
+            amount=curve.residual_deg,
+            remedy="turn the approach into the vertical plane through the waist axis, or use a joint move (G0)",
+        )
+
+
+def _unwrapped(angles_deg: Array, near_deg: float) -> Array:
+    turned: Array = np.unwrap(np.concatenate(((near_deg,), angles_deg)), period=360.0)[1:] - near_deg
+    return turned
+
+
+def _rotation_vector(rotation: Array) -> Array:
+    """Axis times angle in rad of a rotation (3, 3)."""
+    skew = 0.5 * np.array(
+        (rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1])
+    )
+    sine, cosine = float(np.linalg.norm(skew)), 0.5 * (float(np.trace(rotation)) - 1.0)
+    angle = float(np.arctan2(sine, cosine))
+    if sine > 1e-9:
+        return skew * (angle / sine)
+    if cosine > 0.0:
+        return np.zeros(3)
+    # half a turn: the axis is the eigenvector of R + 1
+    column = int(np.argmax(np.diag(rotation)))
+    axis: Array = (rotation + np.eye(3))[:, column]
+    return axis / np.linalg.norm(axis) * np.pi
+
+
+def _rotations(vector: Array, shares: Array) -> Array:
+    """Rotations (n, 3, 3) by `shares` of a rotation vector (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.broadcast_to(np.eye(3), (len(shares), 3, 3))
+    x, y, z = vector / angle
+    cross: NDArray[np.float64] = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+    turned = shares * angle
+    result: Array = (
+        np.eye(3) + np.sin(turned)[:, None, None] * cross + (1.0 - np.cos(turned))[:, None, None] * (cross @ cross)
+    )
+    return result
