@@ -1,4 +1,4 @@
-"""Holding and resuming a program over and over, and stalling its host: what must stay the same, and how hard the motors are braked.
+"""Holding and resuming a program over and over, and stalling its host: what must stay the same, how hard it brakes.
 
 Used by the tests with a few holds and by `benchmarks.stepgen` with a thousand.
 """
@@ -21,6 +21,7 @@ from tests.firmware_model.rig import ONE, RecordingPins, Rig
 from tests.firmware_model.waves import hand_wave, motor_waves
 
 MOTORS = range(5)
+Index = NDArray[np.int64] | int
 
 
 class TimePins(RecordingPins):
@@ -157,8 +158,7 @@ class Ideal:
                 self.j[motor, index] = j
                 self.p[motor, index + 1] = self.p[motor, index] + self._offset(motor, index, n)
 
-    def _offset(self, motor: int, index: NDArray[np.int64] | int, n: NDArray[np.float64] | float) ->
-    NDArray[np.float64]:
+    def _offset(self, motor: int, index: Index, n: NDArray[np.float64] | float) -> NDArray[np.float64]:
         v, a, j = self.v[motor, index], self.a[motor, index], self.j[motor, index]
         return np.asarray(((j / 6 * n + a / 2) * n + v) * n)
 
