@@ -203,8 +203,15 @@ class Segmenter:
         return low, *best
 
     def _shortest(self, samples: Samples, at: int) -> tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]]:
-        """Where the law bends sharply between two samples: the next end that a segment can say at all."""
-        for end in range(at + 1, min(at + 5, len(samples.frames))):
+        """Where the longest lengths tried do not fit: a short one, whose j fits 32 bits (a small difference of speeds
+        over few frames takes a large j), or else a parabola over the shortest.
+        """
+        last = len(samples.frames) - 1
+        for length in (12, 8, 16, 6, 24, 4, 32, 3, 2, 1):
+            fitted = self._try(samples, at, at + length) if at + length <= last else None
+            if fitted is not None:
+                return at + length, fitted
+        for end in range(at + 1, min(at + 5, last + 1)):
             fitted = self._try(samples, at, end, forced=True)
             if fitted is not None:
                 return end, fitted
@@ -258,7 +265,7 @@ class Segmenter:
             flags |= SegmentFlag.CUBIC
         if samples.is_complete and end == len(samples.frames) - 1:
             flags |= SegmentFlag.ENDS_AT_REST
-        first_s = int(samples.frames[at]) * self._frame_s + run[0].start_s
+        first_s = int(samples.frames[at]) * self._frame_s + samples.start_s
         while len(run) > 1 and first_s >= run[0].end_s - 1e-9:
             del run[0]
         piece = run[0]
