@@ -2,6 +2,8 @@
 
 Every step: weigh the task Jacobian, damp it, then shorten the joint rates as a whole until no joint and no motor is
 above its limit. Shortening keeps the direction in joint space, so the tool slows down rather than leaving its way.
+A joint that would pass the end of its range within the period stops there, alone; the others go on and the error
+says what that costs. Rates are bounded here, accelerations are not: that is the business of whoever times the motion.
 """
 
 from __future__ import annotations
@@ -61,16 +63,19 @@ class VelocityController:
         self._damping = damping
         self._weights = default_weights(geometry) if weights is None else weights
         self._before: float | None = None
+        self._low, self._high = np.array(geometry.min_deg), np.array(geometry.max_deg)
 
     def reset(self) -> None:
         """Forget the step before."""
         self._before = None
 
-    def step(self, q_deg: JointsLike, task_rates: FloatArray) -> ControlStep:
-        """Joint rates at q (5,) deg for x', y', z' in mm/s, pitch', roll' in deg/s (5,).
+    def step(self, q_deg: JointsLike, task_rates: FloatArray, period_s: float) -> ControlStep:
+        """Joint rates at q (5,) deg for x', y', z' in mm/s, pitch', roll' in deg/s (5,), to be held for `period_s`.
 
-        Raises KinematicsError for rates that are not five finite numbers.
+        Raises KinematicsError for rates that are not five finite numbers, or a period that is not above 0.
         """
+        if not period_s > 0:
+            raise KinematicsError(f"the period must be above 0 s, not {period_s}")
         wanted = np.asarray(task_rates, dtype=np.float64)
         if wanted.shape != (5,) or not np.isfinite(wanted).all():
             raise KinematicsError(f"tool rates are five finite numbers (mm/s, deg/s), not {task_rates}")
@@ -87,6 +92,10 @@ class VelocityController:
         ratio = float(self._limits.ratio(rates))
         scale = 1.0 if ratio <= 1.0 else 1.0 / ratio
         rates = rates * scale
+        q = np.array(forward.joints_of(q_deg))
+        lowest = np.minimum(self._low - q, 0.0) / period_s
+        highest = np.maximum(self._high - q, 0.0) / period_s
+        rates = np.clip(rates, lowest, highest)
         done = matrix @ np.radians(rates)
         done[3:] = np.degrees(done[3:])
         return ControlStep(rates, scale, factor, wanted - done)
@@ -100,7 +109,7 @@ def default_weights(geometry: ArmGeometry) -> Weights:
 
 def default_damping() -> Damping:
     """Damping by manipulability for `default_weights`: measured on the passages of docs/kinematics.md."""
-    return Damping(DampingLaw.MANIPULABILITY, largest=0.1, threshold=0.02)
+    return Damping(DampingLaw.MANIPULABILITY, largest=0.05, threshold=0.02)
 
 
 METHODS: dict[str, Inverse] = {
