@@ -35,6 +35,8 @@ START_TOLERANCE_STEPS = 1.0
 """A plan that starts farther than this from where the board is belongs to another position."""
 RATIO = 1.018
 """Largest acceleration of a segment's polynomial against the planning limits; the board refuses above 1.02."""
+MOST_JERK = 7.4e-6
+"""Largest j in steps/frame^3 that fits the wire's 32 bits, with some room."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,11 +213,36 @@ class Segmenter:
             fitted = self._try(samples, at, at + length) if at + length <= last else None
             if fitted is not None:
                 return at + length, fitted
+        for end in range(at + 1, min(at + 9, last)):
+            held = self._held_back(samples, at, end)
+            if held is not None:
+                return end, held
         for end in range(at + 1, min(at + 5, last + 1)):
             fitted = self._try(samples, at, end, forced=True)
             if fitted is not None:
                 return end, fitted
         raise PlanError("a motor would have to accelerate faster than a segment can say")
+
+    def _held_back(self, samples: Samples, at: int, end: int) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
+        """The cubic with its accelerations clipped to the limits; its end is then near the ideal, not on it, and the
+        next segment takes over from there.
+        """
+        frames = int(samples.frames[end] - samples.frames[at])
+        start = self._steps_now()
+        wished = hermite(samples.steps[end] - start, self._speed, samples.speeds[end], frames)
+        first = self._motors.clipped(2.0 * wished.c, RATIO)
+        last = self._motors.clipped(2.0 * wished.c + 6.0 * frames * wished.d, RATIO)
+        steep = np.abs(last - first) > MOST_JERK * frames
+        middle = 0.5 * (first + last)
+        first, last = np.where(steep, middle, first), np.where(steep, middle, last)
+        cubic = Cubic(self._speed, 0.5 * first, (last - first) / (6.0 * frames))
+        inner = (samples.frames[at + 1 : end + 1] - samples.frames[at]).astype(np.float64)
+        offsets = cubic.offsets(inner)
+        error = float(np.abs(offsets + start - samples.steps[at + 1 : end + 1]).max())
+        if error > self._tolerance:
+            return None
+        terms = to_wire(cubic, self._positions, start + offsets[-1], frames)
+        return None if terms is None else (cubic, terms, error)
 
     def _try(
         self, samples: Samples, at: int, end: int, *, forced: bool = False
