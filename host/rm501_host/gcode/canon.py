@@ -266,6 +266,9 @@ class SetToolTableEntry:
     tool: int
     offset: Axes
     diameter: float
+    front_angle_deg: float
+    back_angle_deg: float
+    orientation: int
     at: Location
 
 

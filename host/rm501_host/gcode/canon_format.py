@@ -37,7 +37,7 @@ def _tool_entry(call: c.SetToolTableEntry) -> str:
     offset = " ".join(f"{v:.4f}" for v in call.offset)
     return (
         f"SET_TOOL_TABLE_ENTRY({call.pocket}, {call.tool}, {offset} 0.0000 0.0000 0.0000, "
-        f"{call.diameter:.4f}, 0.0000, 0.0000, 0)"
+        f"{call.front_angle_deg:.4f}, {call.back_angle_deg:.4f}, {call.orientation})"
     )
 
 

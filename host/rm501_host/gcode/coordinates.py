@@ -32,7 +32,10 @@ def system_parameter(index: int) -> int:
 def set_units(ctx: Context, units: Units) -> None:
     """G20, G21."""
     ctx.emit(UseLengthUnits(units, ctx.at))
+    tool_offset = ctx.state.tool_offset.copy()
     ctx.state.set_units(units)
+    if ctx.peer_standalone:  # LinuxCNC 2.9 keeps the number of the tool offset and so changes its length
+        ctx.state.tool_offset = tool_offset
 
 
 def emit_g5x(ctx: Context) -> None:
@@ -60,6 +63,17 @@ def _load_system(ctx: Context, index: int) -> None:
     state.rotation_deg = parameters.numbered[first + _ROTATION]
     parameters.numbered[G5X_INDEX] = float(index)
     state.position = state.program_position(machine)
+
+
+def _load_system_as_peer(ctx: Context, index: int) -> None:
+    """G10 in the system in force, as LinuxCNC 2.9 has it: the rotation is turned about the origin without the G92
+    offset, so with both in use the current position comes out wrong. Kept for comparing listings only.
+    """
+    state = ctx.state
+    x, y = rotate(state.position[0], state.position[1], state.rotation_deg)
+    x, y = x + state.g5x[0], y + state.g5x[1]
+    _load_system(ctx, index)
+    state.position[0], state.position[1] = rotate(x - state.g5x[0], y - state.g5x[1], -state.rotation_deg)
 
 
 def select_system(ctx: Context, index: int) -> None:
@@ -158,6 +172,8 @@ def _g10_system(ctx: Context, words: Words, level: int) -> None:
     offset = parameters.axes(first)
     rotation = parameters.numbered[first + _ROTATION]
     if "r" in words:
+        if level == 20 and ctx.peer_standalone:
+            raise GcodeModalError("R not allowed in G10 L20", "Set the rotation with G10 L2.")
         rotation = words["r"]
         parameters.numbered[first + _ROTATION] = rotation
     if level == 2:
@@ -168,7 +184,10 @@ def _g10_system(ctx: Context, words: Words, level: int) -> None:
         _origin_from_position(ctx, words, offset, rotation)
     parameters.store_axes(first, offset)
     if index == state.g5x_index:
-        _load_system(ctx, index)
+        if ctx.peer_standalone:
+            _load_system_as_peer(ctx, index)
+        else:
+            _load_system(ctx, index)
         emit_g5x(ctx)
         emit_rotation(ctx)
     else:
@@ -206,9 +225,13 @@ def _g10_tool(ctx: Context, words: Words) -> None:
     if "r" in words:
         diameter = 2.0 * words["r"] / state.to_program
     tool = ctx.tools.set_offset(number, as_axes(offset), diameter)
-    ctx.emit(SetToolTableEntry(tool.pocket, tool.number, tool.offset, tool.diameter, ctx.at))
-    if number == state.tool_in_spindle:
-        ctx.emit(SetToolTableEntry(0, tool.number, tool.offset, tool.diameter, ctx.at))
+    loaded = number == state.tool_in_spindle
+    if ctx.peer_standalone and state.current_tool == 0:
+        loaded = number == 1  # its table starts with tool 1 in the spindle's pocket
+    front, back = words.get("i", 0.0), words.get("j", 0.0)
+    orientation = to_integer(words.get("q", 0.0), "Q, the orientation")
+    for pocket in (tool.pocket, 0) if loaded else (tool.pocket,):
+        ctx.emit(SetToolTableEntry(pocket, tool.number, tool.offset, tool.diameter, front, back, orientation, ctx.at))
 
 
 # -- tool length
@@ -229,6 +252,8 @@ def tool_length(ctx: Context, code: int, words: Words) -> None:
     elif code == 432:
         offset = state.tool_offset.copy()
         has_axes = any(axis in words for axis in AXES)
+        if "h" in words and has_axes:
+            raise GcodeModalError("G43.2: cannot have both H and axis words", "Use two blocks.")
         if "h" in words:
             extra = _table_offset(ctx, to_integer(words["h"], "H, the tool number"))
             offset = [a + b for a, b in zip(offset, extra, strict=True)]
@@ -237,14 +262,16 @@ def tool_length(ctx: Context, code: int, words: Words) -> None:
         else:
             raise GcodeModalError("G43.2: no axes specified and H word missing", "Add axis words or H.")
     _use_tool_offset(ctx, offset)
-    state.tool_offset_active = code != 490
+    state.tool_offset_active = any(offset)
 
 
 def _use_tool_offset(ctx: Context, offset: list[float]) -> None:
     state = ctx.state
+    before = ctx.machine_stands_at().copy()
     machine = state.machine_position(state.position)
     state.tool_offset = offset
     state.position = state.program_position(machine)
+    ctx.mark_unfollowed(before)
     ctx.emit(UseToolLengthOffset(as_axes(offset), ctx.at))
 
 
@@ -274,11 +301,8 @@ def go_home(ctx: Context, code: int, words: Words) -> None:
     if any(named) or ("@" not in words and "^" not in words):
         ctx.emit(StraightTraverse(as_axes(via), ctx.at))
     state.position = via
-    target = state.machine_position(via)
-    for i in range(6):
-        if named[i] or not any(named):
-            target[i] = stored[i]
-    state.position = state.program_position(target)
+    home = state.program_position(stored)
+    state.position = [home[i] if named[i] or not any(named) else via[i] for i in range(6)]
     ctx.emit(StraightTraverse(as_axes(state.position), ctx.at))
 
 

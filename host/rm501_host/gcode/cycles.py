@@ -59,22 +59,21 @@ def cycle(ctx: Context, code: int, words: Words) -> None:
         raise GcodeModalError("cannot do zero repeats of cycle", "L is at least 1.")
     if repeats < 0:
         raise GcodeModalError("cannot do negative repeats of cycle", "L is at least 1.")
-    sticky = _merge(ctx, code, words, AXES[normal], name)
-    r, depth = sticky.r or 0.0, sticky.depth or 0.0
-    if not state.absolute:
-        r += state.position[normal]
-        depth += r
+    sticky = _merge(ctx, code, words, AXES[normal], state.position[normal], name)
+    r, depth = sticky.r, sticky.depth
     if r < depth:
         raise GcodeModalError(
             f"R less than {AXES[normal].upper()} in cycle in {state.plane.value} plane",
             "R is the plane above the hole, the axis word its bottom.",
         )
     start = state.position.copy()
-    if start[normal] < r:
-        start[normal] = r
+    old = sticky.series_start
+    if old < r:
+        old = start[normal] = r
         ctx.emit(StraightTraverse(as_axes(start), ctx.at))
-    old = start[normal]
-    clear = r if state.retract_r else max(old, r)
+    elif not state.retract_r:
+        start[normal] = old
+    clear = r if state.retract_r else old
     previous_mode = state.control_mode
     if previous_mode is not MotionMode.EXACT_PATH:
         ctx.emit(SetMotionControlMode(MotionMode.EXACT_PATH, 0.0, ctx.at))
@@ -97,18 +96,32 @@ def cycle(ctx: Context, code: int, words: Words) -> None:
     state.cycle = sticky
 
 
-def _merge(ctx: Context, code: int, words: Words, depth_word: str, name: str) -> CycleWords:
-    """Words of this block over those that stick from the cycle before."""
-    old = ctx.state.cycle if ctx.state.motion == code and ctx.state.cycle is not None else None
-    r = words.get("r", old.r if old else None)
-    depth = words.get(depth_word, old.depth if old else None)
-    if r is None:
+def _merge(ctx: Context, code: int, words: Words, depth_word: str, current: float, name: str) -> CycleWords:
+    """Words of this block over those that stick from the cycle before, as absolute coordinates."""
+    state = ctx.state
+    series = state.cycle if state.motion in CYCLES else None
+    old = series if state.motion == code else None
+    if "r" in words:
+        r = words["r"] + (0.0 if state.absolute else current)
+    elif old is not None:
+        r = old.r
+    else:
         raise GcodeModalError("R clearance plane unspecified in cycle", f"The first {name} needs an R word.")
-    if depth is None:
+    if depth_word in words:
+        depth = words[depth_word] + (0.0 if state.absolute else r)
+    elif old is not None:
+        depth = old.depth
+    else:
         raise GcodeModalError(
             f"{depth_word.upper()} value unspecified in cycle", f"The first {name} needs the depth of the hole."
         )
-    return CycleWords(code, r, depth, words.get("p", old.p if old else None), words.get("q", old.q if old else None))
+    return CycleWords(
+        r,
+        depth,
+        words.get("p", old.p if old else None),
+        words.get("q", old.q if old else None),
+        series.series_start if series is not None else current,
+    )
 
 
 def _check_words(code: int, sticky: CycleWords, r: float, depth: float) -> None:

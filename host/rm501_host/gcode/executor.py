@@ -16,7 +16,7 @@ from rm501_host.gcode.cycles import CYCLES, cycle
 from rm501_host.gcode.errors import GcodeModalError, GcodeUnsupportedError
 from rm501_host.gcode.expressions import to_integer
 from rm501_host.gcode.mcodes import execute_m
-from rm501_host.gcode.motion import Words, arc, probe, straight
+from rm501_host.gcode.motion import Words, arc, check_polar, probe, straight
 from rm501_host.gcode.registry import (
     ARC_DISTANCE,
     CUTTER,
@@ -38,7 +38,7 @@ from rm501_host.gcode.registry import (
     UNITS,
     WORK_OFFSET,
 )
-from rm501_host.gcode.state import AXES, NO_MOTION, State
+from rm501_host.gcode.state import AXES, NO_MOTION, NO_MOTION_AFTER_NURBS, State
 
 _AXIS_USERS = {100, 280, 300, 520, 920}
 _PLANES = {170: c.Plane.XY, 180: c.Plane.XZ, 190: c.Plane.YZ}
@@ -56,9 +56,11 @@ class Evaluated:
     motion: int | None = None
 
 
-def resolve_motion(state: State, block: Evaluated) -> None:
+def resolve_motion(ctx: Context, block: Evaluated) -> None:
     """Decide which code uses the axis words. Raises GcodeModalError when that is not clear."""
-    words, g = block.words, block.g
+    state, words, g = ctx.state, block.words, block.g
+    if "@" in words or "^" in words:
+        check_polar(ctx, words)
     has_axes = any(axis in words for axis in AXES) or "@" in words or "^" in words
     one_shot = g.get(ONE_SHOT)
     covets = one_shot in _AXIS_USERS or g.get(TOOL_LENGTH) in (431, 432) or g.get(ROTATION) == 680
@@ -79,7 +81,7 @@ def resolve_motion(state: State, block: Evaluated) -> None:
         if not has_axes and one_shot in (520, 920):
             _all_axes_missing(f"G{one_shot // 10}")
     elif has_axes or (state.motion in (20, 30) and any(w in words for w in "ijk")):
-        if state.motion == NO_MOTION:
+        if state.motion in (NO_MOTION, NO_MOTION_AFTER_NURBS):
             raise GcodeModalError(
                 "cannot use axis values without a G code that uses them", "No motion mode is in force: name G0, G1, ..."
             )
@@ -102,7 +104,10 @@ def check_words(state: State, block: Evaluated) -> None:
     io, override = m.get(M_IO), m.get(M_OVERRIDE)
     is_arc, is_cycle = motion in (20, 30), motion in CYCLES
     user = M_USER in m
-    del state
+    if is_arc and "p" in w and to_integer(w["p"], "P, the number of turns") < 1:
+        raise GcodeModalError("P value should be 1 or greater with G2 or G3", "P counts full turns begun.")
+    if one_shot == 530 and (g.get(DISTANCE) == 910 or (DISTANCE not in g and not state.absolute)):
+        raise GcodeModalError("cannot use G53 in incremental distance mode", "Switch to G90 first.")
     for letter in w:
         match letter:
             case "d":
@@ -151,6 +156,8 @@ def check_words(state: State, block: Evaluated) -> None:
 def execute(ctx: Context, block: Evaluated) -> bool:
     """Carry out a block; True when the program ends. Raises GcodeError."""
     state, words, g, m = ctx.state, block.words, block.g, block.m
+    if SPINDLE_MODE in g:
+        ctx.emit(c.SetSpindleMode(0.0, ctx.at))
     if FEED_MODE in g:
         _feed_mode(ctx, g[FEED_MODE])
     if "f" in words:
@@ -230,15 +237,15 @@ def _modes(ctx: Context, g: dict[int, int], words: Words) -> None:
             name = "absolute" if absolute else "incremental"
             ctx.emit(c.Comment(f"interpreter: distance mode changed to {name}", ctx.at))
     if ARC_DISTANCE in g:
-        state.arc_absolute = g[ARC_DISTANCE] == 901
-        name = "absolute" if state.arc_absolute else "incremental"
-        ctx.emit(c.Comment(f"interpreter: IJK distance mode changed to {name}", ctx.at))
+        arc_absolute = g[ARC_DISTANCE] == 901
+        if arc_absolute != state.arc_absolute:
+            state.arc_absolute = arc_absolute
+            name = "absolute" if arc_absolute else "incremental"
+            ctx.emit(c.Comment(f"interpreter: IJK distance mode changed to {name}", ctx.at))
     if RETRACT in g:
         state.retract_r = g[RETRACT] == 990
         name = "r_plane" if state.retract_r else "old_z"
         ctx.emit(c.Comment(f"interpreter: retract mode set to {name}", ctx.at))
-    if SPINDLE_MODE in g:
-        ctx.emit(c.SetSpindleMode(0.0, ctx.at))
     if ROTATION in g:
         if g[ROTATION] == 680:
             coordinates.rotate_program(ctx, words)
@@ -281,8 +288,6 @@ def _motion(ctx: Context, block: Evaluated) -> None:
         return
     if code not in (52, 53):
         state.nurbs = None
-    if code != 50:
-        state.spline_tangent = None
     if code in (0, 10):
         straight(ctx, code, words, machine_coordinates=machine_coordinates)
     elif code in (20, 30):
@@ -301,11 +306,12 @@ def _motion(ctx: Context, block: Evaluated) -> None:
         splines.nurbs_point(ctx, words)
     elif code == 53:
         splines.nurbs_end(ctx)
-        state.motion = NO_MOTION
+        state.motion = NO_MOTION_AFTER_NURBS
         return
     else:
         raise GcodeUnsupportedError(f"motion code {code / 10:g} is not supported", "See docs/gcode.md.")
-    state.motion = code
+    if code not in (50, 51):  # G5 and G5.1 are not modal (LinuxCNC 2.9)
+        state.motion = code
 
 
 def _stop(ctx: Context, code: int) -> bool:

@@ -22,7 +22,7 @@ from pathlib import Path
 from rm501_host.gcode import canon as c
 from rm501_host.gcode.block import Block
 from rm501_host.gcode.comments import execute_comment
-from rm501_host.gcode.context import BUILT_IN_USER_M, Context, MachineFeedback, OfflineFeedback
+from rm501_host.gcode.context import BUILT_IN_USER_M, Context, MachineFeedback, OfflineFeedback, PeerFeedback
 from rm501_host.gcode.coordinates import emit_g5x, emit_g92, emit_rotation
 from rm501_host.gcode.errors import (
     GcodeError,
@@ -113,7 +113,7 @@ class Interpreter:
             state=self.state,
             parameters=self.parameters,
             tools=table,
-            feedback=feedback or OfflineFeedback(),
+            feedback=feedback or (PeerFeedback() if self.settings.peer_standalone else OfflineFeedback()),
             emit=self._out.append,
             warn=self._warn,
             user_m=self.settings.user_m,
@@ -408,7 +408,7 @@ class Interpreter:
             m = m_modes([(evaluate(node, parameters), at) for node, at in block.m_words])
         evaluated = Evaluated(words, g, m)
         try:
-            resolve_motion(self.state, evaluated)
+            resolve_motion(ctx, evaluated)
             check_words(self.state, evaluated)
         except GcodeModalError as error:
             self._point_at_word(error, block)
@@ -527,7 +527,6 @@ class Interpreter:
         target = (position[0], position[1], position[2], position[3], position[4], position[5])
         state.motion = motion
         state.nurbs = None
-        state.spline_tangent = None
         self._out.append(c.StraightTraverse(target, at) if motion == 0 else c.StraightFeed(target, at))
         self._context.at = at
         return True

@@ -77,17 +77,31 @@ def _set_words(out: list[float], words: Words) -> None:
             out[i] = value
 
 
-def _set_polar(out: list[float], absolute: bool, words: Words) -> None:
+def check_polar(ctx: Context, words: Words) -> None:
+    """What is wrong with @ and ^ wherever the tool is. Raises GcodeModalError."""
+    if ctx.state.plane is not Plane.XY:
+        raise GcodeModalError(
+            "cannot use polar coordinate except in G17 plane", "Select the XY plane before this block."
+        )
     for axis in "xy":
         if axis in words:
             raise GcodeModalError(
                 f"cannot specify both polar coordinate and {axis.upper()} word", "Use @ and ^, or X and Y."
             )
+    if "@" not in words:
+        ctx.warn("a polar angle without a radius: the radius stays as it is")
+
+
+def _set_polar(out: list[float], absolute: bool, words: Words) -> None:
     radius, angle = words.get("@"), words.get("^")
     x, y = out[0], out[1]
     if angle is None and x == 0.0 and y == 0.0:
         raise GcodeModalError(
             "must specify angle in polar coordinate if at the origin", "Add a ^ word: no direction is known here."
+        )
+    if not absolute and x == 0.0 and y == 0.0:
+        raise GcodeModalError(
+            "incremental motion with polar coordinates is indeterminate when at the origin", "Use G90 for this block."
         )
     r, theta = math.hypot(x, y), math.degrees(math.atan2(y, x))
     if absolute:
@@ -128,14 +142,8 @@ def straight(ctx: Context, code: int, words: Words, *, machine_coordinates: bool
     name = "g0" if code == 0 else "g1"
     if code == 10:
         need_feed(state, "do g1")
-    if machine_coordinates and not state.absolute:
-        raise GcodeModalError("cannot use G53 in incremental distance mode", "Switch to G90 first.")
-    if not machine_coordinates and not any(w in words for w in "xyzabc"):
-        if "^" in words or "@" in words:
-            if "@" not in words and code == 10:
-                ctx.warn("a polar angle without a radius: the radius stays as it is")
-        else:
-            ctx.warn(f"{name.upper()} without axis words: a move to where the tool already is")
+    if not machine_coordinates and not any(w in words for w in "xyzabc@^"):
+        ctx.warn(f"{name.upper()} without axis words: a move to where the tool already is")
     end = end_point(ctx, words, machine_coordinates=machine_coordinates)
     if code == 0:
         ctx.emit(StraightTraverse(as_axes(end), ctx.at))
@@ -153,7 +161,7 @@ def arc(ctx: Context, code: int, words: Words) -> None:
     first, second, normal = PLANE_AXES[state.plane]
     first_word, second_word, normal_word = PLANE_OFFSETS[state.plane]
     plane = state.plane.value.lower()
-    turns = _turns(words)
+    turns = to_integer(words.get("p", 1.0), "P, the number of turns")
     has_ijk = any(w in words for w in "ijk")
     if "r" in words and has_ijk:
         raise GcodeModalError("mixed radius and IJK format for arc", "Give either R or the centre offsets.")
@@ -166,7 +174,7 @@ def arc(ctx: Context, code: int, words: Words) -> None:
         )
     end = end_point(ctx, words)
     if "r" in words:
-        if AXES[first] not in words and AXES[second] not in words and "@" not in words and "^" not in words:
+        if not any(w in words for w in (AXES[first], AXES[second], "@", "^")):
             raise GcodeModalError(
                 f"{AXES[first].upper()} and {AXES[second].upper()} words missing for arc in {plane} plane",
                 "An arc by radius needs its end point.",
@@ -188,16 +196,6 @@ def arc(ctx: Context, code: int, words: Words) -> None:
         )
     )
     state.position = end
-
-
-def _turns(words: Words) -> int:
-    value = words.get("p")
-    if value is None:
-        return 1
-    turns = to_integer(value, "P, the number of turns")
-    if turns < 1:
-        raise GcodeModalError("P value should be 1 or greater with G2 or G3", "P counts full turns begun.")
-    return turns
 
 
 def _centre_from_radius(
@@ -302,20 +300,19 @@ def probe(ctx: Context, code: int, words: Words) -> None:
         raise GcodeModalError("cannot probe in inverse time feed mode", "Switch to G94.")
     need_feed(state, "probe")
     end = end_point(ctx, words)
-    if math.dist(state.position, end) < 1e-9:
+    if code in (382, 384) and math.dist(state.position, end) < 1e-9:
         raise GcodeGeometryError("start point too close to probe point", "Probe over a distance.")
     ctx.emit(SignalCall(Signal.TURN_PROBE_ON, ctx.at))
-    target = as_axes(end)
+    start, target = as_axes(ctx.machine_stands_at()), as_axes(end)
     ctx.emit(StraightProbe(target, code in (382, 383), code in (382, 384), ctx.at))
     ctx.emit(SignalCall(Signal.TURN_PROBE_OFF, ctx.at))
     parameters, feedback, must_succeed = ctx.parameters, ctx.feedback, code in (382, 384)
+    units = state.units
 
     def take_result() -> None:
-        result = feedback.probe_result(target)
-        state.position = list(result.position)
-        shown = state.position
-        for i in range(6):
-            parameters.numbered[PROBE + i] = shown[i]
+        result = feedback.probe_result(start, target, units)
+        state.position = list(result.stopped_at)
+        parameters.numbered[PROBE : PROBE + 6] = result.contact
         parameters.numbered[PROBE_OK] = 1.0 if result.success else 0.0
         if must_succeed and not result.success and not ctx.peer_standalone:
             raise GcodeGeometryError(

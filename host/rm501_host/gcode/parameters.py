@@ -214,7 +214,7 @@ def _system_parameters(p: Parameters) -> dict[str, Callable[[], float]]:
         "_vmajor": lambda: 2.9,
         "_vminor": lambda: 0.0,
         "_line": lambda: float(p.line),
-        "_motion_mode": lambda: float(s.motion),
+        "_motion_mode": lambda: float(max(-1, s.motion)),
         "_plane": lambda: _PLANES[s.plane],
         "_ccomp": lambda: 400.0,
         "_metric": lambda: _flag(s.units is Units.MM),

@@ -53,15 +53,16 @@ def cubic(ctx: Context, words: Words) -> None:
     elif state.spline_tangent is not None:
         dx, dy = state.spline_tangent
     else:
-        raise GcodeModalError(
-            "must specify both I and J with the first G5", "Without them the curve goes on from the G5 before it."
-        )
+        ctx.warn("the first G5 without I and J: the curve starts with its control point at the start")
+        dx, dy = 0.0, 0.0
     end = end_point(ctx, words)
     px, py = _vector(ctx, words["p"], words["q"])
     points = ((x, y), (x + dx, y + dy), (end[0] + px, end[1] + py), (end[0], end[1]))
     ctx.emit(NurbsFeed(points, (1.0,) * 4, clamped_knots(4, 4), 3, ctx.at))
     state.spline_tangent = (-px, -py)
+    before = ctx.machine_stands_at()
     state.position = end
+    ctx.mark_unfollowed(before)
 
 
 def quadratic(ctx: Context, words: Words) -> None:
@@ -77,7 +78,9 @@ def quadratic(ctx: Context, words: Words) -> None:
     end = end_point(ctx, words)
     points = ((x, y), (x + dx, y + dy), (end[0], end[1]))
     ctx.emit(NurbsFeed(points, (1.0,) * 3, clamped_knots(3, 3), 2, ctx.at))
+    before = ctx.machine_stands_at()
     state.position = end
+    ctx.mark_unfollowed(before)
 
 
 def nurbs_point(ctx: Context, words: Words) -> None:
@@ -104,7 +107,9 @@ def nurbs_point(ctx: Context, words: Words) -> None:
     end = end_point(ctx, words)
     nurbs.points.append((end[0], end[1]))
     nurbs.weights.append(words["p"])
+    before = ctx.machine_stands_at()
     state.position = end
+    ctx.mark_unfollowed(before)
 
 
 def _bad_weight() -> None:

@@ -20,6 +20,8 @@ LINEAR_AXES = 3
 
 NO_MOTION = 800
 """Motion mode key of G80."""
+NO_MOTION_AFTER_NURBS = -10
+"""The same after G5.3; the peer shows it as -1 in #<_motion_mode>."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,15 +145,17 @@ class ProgramRotation:
         return self.centre[0] + dx, self.centre[1] + dy
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class CycleWords:
-    """Sticky words of the canned cycle in force: absolute retract plane R and depth per axis, P, Q."""
+    """What sticks from one canned cycle to the next: R plane and depth as absolute program coordinates, dwell P, peck
+    Q, and where the tool stood along the depth axis when the series of cycles began (G98 goes back there).
+    """
 
-    code: int
-    r: float | None = None
-    depth: float | None = None
-    p: float | None = None
-    q: float | None = None
+    r: float
+    depth: float
+    p: float | None
+    q: float | None
+    series_start: float
 
 
 @dataclass(slots=True)
