@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass
-from math import exp, log, pi
+from math import expm1, log1p, pi
 
 # Below this speed, in steps/s, a motor counts as standing: rounding residues of the exact stop.
 _STANDSTILL_STEPS_S = 1e-9
@@ -138,8 +138,10 @@ class ServoAxis:
         inertia = (p.inertia_kg_m2 + link_inertia_kg_m2) * self._rad_per_step
         viscous = self._viscous
         tau = inertia / viscous
-        decay = exp(-h / tau)
-        reach = (1.0 - decay) * tau
+        # w(h) = w + (w1 - w) blend, x(h) = x + w h + (w1 - w) gap: without cancellation however small B is.
+        ratio = h / tau
+        blend = -expm1(-ratio)
+        gap = h - blend * tau if ratio > 1e-4 else 0.5 * h * ratio * (1.0 - ratio / 3.0)
         coulomb = p.coulomb_nm * friction_factor
         stiction = coulomb * p.stiction_ratio
         gain_p, gain_d, gain_i = p.proportional_nm, p.derivative_nm_s, p.integral_nm_s * h
@@ -193,13 +195,14 @@ class ServoAxis:
                     sign = 1.0 if w > 0.0 else -1.0
                 if moving:
                     final = (drive - sign * coulomb) / viscous
-                    after = final + (w - final) * decay
+                    change = final - w
+                    after = w + change * blend
                     if after * sign >= 0.0:
-                        x += final * h + (w - final) * reach
+                        x += w * h + change * gap
                         w = after
                     else:
                         # It comes to rest inside this sample, at the exact root of w(t).
-                        rest = tau * log((w - final) / -final)
+                        rest = tau * log1p(-w / final)
                         x += final * rest + w * tau
                         w = 0.0
                         left -= rest
@@ -207,9 +210,8 @@ class ServoAxis:
                             sign = -sign
                             final = (drive - sign * coulomb) / viscous
                             if final * sign > 0.0:
-                                part = exp(-left / tau)
-                                w = final - final * part
-                                x += final * left - final * (1.0 - part) * tau
+                                w = -final * expm1(-left / tau)
+                                x += final * left - w * tau
                     if -_STANDSTILL_STEPS_S < w < _STANDSTILL_STEPS_S:
                         w = 0.0
                     if w > top:

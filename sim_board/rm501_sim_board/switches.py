@@ -91,16 +91,17 @@ class Switch:
         """
         if self.stuck is not None:
             return _NEVER_FRAME
+        until_event = self._next_glitch_frame - frame
         if self._toggle_frames:
-            return max(1, self._toggle_frames[0] - frame)
-        until_glitch = self._next_glitch_frame - frame
-        if until_glitch <= 0:
+            until_event = min(until_event, self._toggle_frames[0] - frame)
+        if until_event <= 0:
             return 1
         depth_deg = self._depth_deg(joint_deg)
         margin_deg = depth_deg if self._pressed else self.parameters.hysteresis_deg - depth_deg
         if speed_deg_per_frame <= 0.0:
-            return max(1, until_glitch)
-        return max(1, min(int(margin_deg / speed_deg_per_frame), until_glitch))
+            return until_event
+        # A rounding error of a move that just reaches the edge must not break the promise.
+        return max(1, min(int(margin_deg / speed_deg_per_frame - 1e-6), until_event))
 
     def restart_glitches(self, frame: int) -> None:
         """The rate of needles has changed: draw the next one anew."""
