@@ -228,9 +228,10 @@ def main() -> int:
     by_name = {name: ours for name, ours, _ in rates}
     scalar, many = by_name["ik"], by_name["ik_batch"]
     good = agreed and passed and scalar >= SCALAR_IK_TARGET_S and many >= BATCH_IK_TARGET_S
+    verdict = "PASS" if good else "FAIL"
     print(
-        f"\nkinematics: {'PASS' if good else 'FAIL'}: ik {scalar / 1e3:.0f} k/s (target 60), "
-        f"ik_batch {many / 1e6:.1f} M/s (target 2.5), agreement {'ok' if agreed else 'MISSED'}, passages {'ok' if passed else 'MISSED'}"
+        f"\nkinematics: {verdict}: ik {scalar / 1e3:.0f} k/s (target 60), ik_batch {many / 1e6:.1f} M/s (target 2.5), "
+        f"agreement {'ok' if agreed else 'MISSED'}, passages {'ok' if passed else 'MISSED'}"
     )
     return 0 if good else 1
 

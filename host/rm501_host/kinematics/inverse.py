@@ -246,20 +246,13 @@ def nearest_turn(angle_deg: float, low_deg: float, high_deg: float, near_deg: fl
 
 
 def _turned(angle_deg: float, low_deg: float, high_deg: float, near_deg: float) -> float:
-    best = angle_deg
-    best_far = inf
     middle = 0.5 * (low_deg + high_deg)
-    nearest = round((middle - angle_deg) / _TURN_DEG)
-    for turns in range(nearest - 1, nearest + 2):
-        candidate = angle_deg + turns * _TURN_DEG
-        if low_deg <= candidate <= high_deg and abs(candidate - near_deg) < best_far:
-            best, best_far = candidate, abs(candidate - near_deg)
-    if best_far == inf:  # never inside: the turn whose excess is smallest
-        return min(
-            (angle_deg + turns * _TURN_DEG for turns in range(nearest - 1, nearest + 2)),
-            key=lambda candidate: max(low_deg - candidate, candidate - high_deg),
-        )
-    return best
+    turned = angle_deg - _TURN_DEG * round((angle_deg - middle) / _TURN_DEG)
+    if high_deg - low_deg <= _TURN_DEG:
+        return turned  # the nearest to the middle: inside if any is, else the smallest excess
+    candidates = (turned - _TURN_DEG, turned, turned + _TURN_DEG)
+    inside = [candidate for candidate in candidates if low_deg <= candidate <= high_deg]
+    return min(inside, key=lambda candidate: abs(candidate - near_deg)) if inside else turned
 
 
 def _order(entry: tuple[bool, float, IkSolution]) -> tuple[bool, float]:
