@@ -13,7 +13,7 @@ With `configs/thesis.toml`, A0 B0 C0 is the tool straight down and C = q5 - q1.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, degrees, hypot, radians, sin
+from math import radians
 
 import numpy as np
 
@@ -28,6 +28,12 @@ _AXIS_RADIUS_MM = 1e-3
 
 _APPROACH_SINE = 1e-9
 """A tool this near to vertical does not tell the waist angle either."""
+
+_IN_PLANE_SINE = 1e-6
+"""An approach this far out of the plane is meant, not rounding: then the tip alone gives the plane."""
+
+_TIP_PLANE_STEPS = 3
+"""The tip's plane and the roll depend on each other through a tool offset; each step gains about two digits."""
 
 _FLIP_RADIUS_MM = 1e-9
 """|r| below which the tip is on the waist axis, neither in front of it nor behind."""
@@ -84,39 +90,31 @@ def read_orientation(
 ) -> tuple[Reading, Reading]:
     """The two ways (waist, and waist + 180 deg) in which the arm's plane can hold a tool orientation at a tip.
 
-    `xyz_mm` (3,), `tool_rotation` (3, 3), base frame. The plane goes through the wrist centre
-    p - R5 (tx, ty, tz); where that is on the waist axis, through the approach; where that is vertical too, the seed
-    decides. The approach is then projected into the plane: whoever calls measures what that left over.
+    `xyz_mm` (3,), `tool_rotation` (3, 3), base frame; the tip in front of the waist axis (r >= 0) comes first. The
+    rows of `read_orientation_rows`.
     """
-    r5 = tool_rotation @ np.array(geometry.tilt).reshape(3, 3).T
-    wrist = xyz_mm - r5 @ np.array(geometry.tcp_mm)
-    ax, ay, az = r5[:, 2].tolist()
-    if hypot(wrist[0], wrist[1]) > _AXIS_RADIUS_MM:
-        waist = atan2(wrist[1], wrist[0])
-    elif hypot(ax, ay) > _APPROACH_SINE:
-        waist = atan2(ay, ax)
-    else:
-        waist = radians(seed_waist_deg)
-    return _read(r5, waist, az), _read(r5, waist - np.pi if waist > 0 else waist + np.pi, az)
-
-
-def _read(r5: FloatArray, waist_rad: float, az: float) -> Reading:
-    c1, s1 = cos(waist_rad), sin(waist_rad)
-    outward = float(r5[0, 2]) * c1 + float(r5[1, 2]) * s1
-    # R5^T n with n = (s1, -c1, 0) is (s5, c5, 0), see `forward`
-    s5 = float(r5[0, 0]) * s1 - float(r5[1, 0]) * c1
-    c5 = float(r5[0, 1]) * s1 - float(r5[1, 1]) * c1
-    return Reading(degrees(waist_rad), degrees(atan2(outward, -az)), degrees(atan2(s5, c5)))
+    xyz, rotations_ = xyz_mm[None], tool_rotation[None]
+    front, back = (
+        Reading(*(float(part[0]) for part in read_orientation_rows(geometry, xyz, rotations_, side, seed_waist_deg)))
+        for side in (True, False)
+    )
+    return front, back
 
 
 def read_orientation_rows(
     geometry: ArmGeometry, xyz_mm: FloatArray, tool_rotations: FloatArray, front: bool, seed_waist_deg: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Waist, pitch and roll (n,) each, deg, of n tool orientations (n, 3, 3) at tips (n, 3), base frame, with the tip
-    in front of (r >= 0) or behind the waist axis; roll in (-180, 180]. The rows of `read_orientation`."""
+    in front of (r >= 0) or behind the waist axis; roll in (-180, 180].
+
+    The arm's plane goes through the wrist centre p - R5 (tx, ty, tz); where that is on the waist axis, through the
+    approach; where that is vertical too, the seed decides. Where the approach is not in that plane, the tip alone
+    gives the plane, and the approach is projected into it: whoever calls measures the residual, which is then the
+    smallest that this tip allows.
+    """
     r5 = tool_rotations @ np.array(geometry.tilt).reshape(3, 3).T
     wrist = xyz_mm - r5 @ np.array(geometry.tcp_mm)
-    ax, ay, az = r5[:, 0, 2], r5[:, 1, 2], r5[:, 2, 2]
+    ax, ay = r5[:, 0, 2], r5[:, 1, 2]
     waist = np.arctan2(wrist[:, 1], wrist[:, 0])
     unclear = np.hypot(wrist[:, 0], wrist[:, 1]) <= _AXIS_RADIUS_MM
     if unclear.any():
@@ -125,7 +123,36 @@ def read_orientation_rows(
     radius = xyz_mm[:, 0] * np.cos(waist) + xyz_mm[:, 1] * np.sin(waist)
     flip = (radius < -_FLIP_RADIUS_MM) if front else (radius > _FLIP_RADIUS_MM)
     waist = np.where(flip, np.where(waist > 0, waist - np.pi, waist + np.pi), waist)
-    c1, s1 = np.cos(waist), np.sin(waist)
-    pitch = np.arctan2(ax * c1 + ay * s1, -az)
-    roll = np.arctan2(r5[:, 0, 0] * s1 - r5[:, 1, 0] * c1, r5[:, 0, 1] * s1 - r5[:, 1, 1] * c1)
+    pitch, roll = _project(r5, waist)
+    out_of_plane = np.abs(ax * np.sin(waist) - ay * np.cos(waist)) > _IN_PLANE_SINE
+    if out_of_plane.any():
+        rows = out_of_plane.nonzero()[0]
+        for _ in range(_TIP_PLANE_STEPS):
+            waist[rows] = _waist_of_tip(geometry, xyz_mm[rows], roll[rows], waist[rows], front)
+            pitch[rows], roll[rows] = _project(r5[rows], waist[rows])
     return np.degrees(waist), np.degrees(pitch), np.degrees(roll)
+
+
+def _project(r5: FloatArray, waist_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pitch and roll (n,) rad that come nearest to R5 (n, 3, 3) in the planes at `waist_rad` (n,).
+
+    The approach projects onto (s234, -c234) in the plane, and R5^T n, with n = (s1, -c1, 0), is (s5, c5, 0) where
+    the approach is in it (thesis 2.2).
+    """
+    c1, s1 = np.cos(waist_rad), np.sin(waist_rad)
+    pitch = np.arctan2(r5[:, 0, 2] * c1 + r5[:, 1, 2] * s1, -r5[:, 2, 2])
+    roll = np.arctan2(r5[:, 0, 0] * s1 - r5[:, 1, 0] * c1, r5[:, 0, 1] * s1 - r5[:, 1, 1] * c1)
+    return pitch, roll
+
+
+def _waist_of_tip(
+    geometry: ArmGeometry, xyz_mm: FloatArray, roll_rad: FloatArray, waist_rad: FloatArray, front: bool
+) -> FloatArray:
+    """Waist (n,) rad of tips whose sideways offset follows from the roll; as it was where the tip does not say."""
+    tx, ty, _ = geometry.tcp_mm
+    v = -(tx * np.sin(roll_rad) + ty * np.cos(roll_rad))
+    square = xyz_mm[:, 0] ** 2 + xyz_mm[:, 1] ** 2 - v * v
+    radius = np.sqrt(np.maximum(square, 0.0)) * (1.0 if front else -1.0)
+    waist = np.arctan2(xyz_mm[:, 1], xyz_mm[:, 0]) - np.arctan2(v, radius)
+    clear: FloatArray = np.where(square > _AXIS_RADIUS_MM**2, waist, waist_rad)
+    return clear
