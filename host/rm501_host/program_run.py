@@ -30,6 +30,8 @@ from rm501_host.session import BoardSession, open_session
 from rm501_host.session.board_session import WireTap
 from rm501_host.tracking import tracking_of
 from rm501_host.transports import open_transport
+from rm501_protocol.enums import BoardState
+from rm501_protocol.messages import Hold
 
 _ARM_MOTORS_MASK = 0b11111
 
@@ -144,7 +146,7 @@ async def _play(
     began_s = loop.time()
     wall_began_s = options.wall_clock_s() if options.wall_clock_s is not None else began_s
     try:
-        stream = MotionStream(session, config)
+        stream = MotionStream(session, config, someone_resumes=False)
         await stream.prepare()
         if options.home:
             await Homing(stream, arm, config).home_all(lambda joint: watcher.phase(f"homing {joint}"))
@@ -153,6 +155,9 @@ async def _play(
             sent += await stream.play(pieces, watcher.progress)
     except StoppedError as stopped:
         error = stopped
+    except asyncio.CancelledError:
+        watcher.message(await _hold_and_leave(session))
+        raise
     took_s = loop.time() - began_s
     wall_s = (options.wall_clock_s() if options.wall_clock_s is not None else loop.time()) - wall_began_s
     stats = session.link.stats
@@ -171,6 +176,22 @@ async def _play(
         faults=[] if error is None else [str(error)],
     )
     return RunResult(report, plan, error, sent)
+
+
+async def _hold_and_leave(session: BoardSession) -> str:
+    """Bring the arm to rest on its path before this process ends; what to tell the operator."""
+    try:
+        status = await session.refresh_status()
+        if status.state is BoardState.RUNNING:
+            status = await session.command(Hold(), lambda now: now.state in (BoardState.HELD, BoardState.READY))
+    except Rm501Error as error:
+        return f"interrupted, and the board could not be told: {error}; it holds by itself when the link is silent"
+    if status.state is BoardState.HELD:
+        return (
+            "interrupted: the arm holds on its path, motors on, position trusted; CYCLE START or "
+            "`rm501-host serve` and `resume` go on, `stop` ends it"
+        )
+    return f"interrupted: the arm is at rest, the board {status.state.name}"
 
 
 def _runs_between_marks(plan: Plan, watcher: Watcher) -> Iterator[list[Piece]]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 from rm501_host.config import Config
@@ -22,10 +22,10 @@ from rm501_host.errors import StoppedError
 from rm501_host.moves import Source
 from rm501_host.planner import Piece
 from rm501_host.segmenter import PlannedSegment, Segmenter
-from rm501_host.session import BoardRefusedError, BoardSession
+from rm501_host.session import BoardRefusedError, BoardSession, LinkLostError
 from rm501_host.session.board_session import Notice
 from rm501_protocol.board_config import InputId
-from rm501_protocol.enums import BoardState, Edge, EndCause, HoldCause, ResumeCause
+from rm501_protocol.enums import BoardState, Edge, EndCause, HoldCause, ResumeCause, SegmentFlag
 from rm501_protocol.faults import FAULT_TEXTS
 from rm501_protocol.messages import (
     ArmTrigger,
@@ -60,10 +60,14 @@ class Progress:
 
 
 class MotionStream:
-    """Plays pieces on the board of `session`; `prepare` first. One play at a time."""
+    """Plays pieces on the board of `session`; `prepare` first. One play at a time.
 
-    def __init__(self, session: BoardSession, config: Config) -> None:
+    `someone_resumes`: whether a hold that only a user may end is waited out; without a user there it ends the play.
+    """
+
+    def __init__(self, session: BoardSession, config: Config, *, someone_resumes: bool = True) -> None:
         self._session = session
+        self._someone_resumes = someone_resumes
         self._config = config
         self._loop = asyncio.get_running_loop()
         self.positions_q48: tuple[int, ...] = ()
@@ -123,13 +127,17 @@ class MotionStream:
         self.positions_q48 = tuple(exact)
 
     async def play(
-        self, pieces: Iterable[Piece], on_progress: Callable[[Progress], None] | None = None
+        self,
+        pieces: Iterable[Piece],
+        on_progress: Callable[[Progress], None] | None = None,
+        *,
+        flags: SegmentFlag = SegmentFlag.NONE,
     ) -> list[PlannedSegment]:
-        """Play to the end and come to rest there; the segments as sent.
+        """Play to the end and come to rest there; the segments as sent, each with `flags` on top of its own.
 
         Raises StoppedError when motion ended before its time, BoardRefusedError when the board refused a segment.
         """
-        return await self._run(pieces, on_progress, until_trigger=False)
+        return await self._run(pieces, on_progress, until_trigger=False, flags=flags)
 
     async def play_until(self, pieces: Iterable[Piece], switch: InputId, edge: Edge) -> TriggerReport | None:
         """Play until `switch` shows `edge`, then ramp to a stop on the path; None when the pieces ended before.
@@ -150,7 +158,12 @@ class MotionStream:
     # ---------------------------------------------------------------------------------- the one loop of a play
 
     async def _run(
-        self, pieces: Iterable[Piece], on_progress: Callable[[Progress], None] | None, *, until_trigger: bool
+        self,
+        pieces: Iterable[Piece],
+        on_progress: Callable[[Progress], None] | None,
+        *,
+        until_trigger: bool,
+        flags: SegmentFlag = SegmentFlag.NONE,
     ) -> list[PlannedSegment]:
         session = self._session
         self._ended = self._fault = self._refused = None
@@ -172,7 +185,8 @@ class MotionStream:
                 waiting.extend(batch)
             while waiting and self._room() > 0:
                 planned = waiting.popleft()
-                session.post(planned.segment)
+                segment = planned.segment
+                session.post(replace(segment, flags=segment.flags | flags) if flags else segment)
                 sent.append(planned)
                 self._take(planned)
                 await asyncio.sleep(0)
@@ -180,6 +194,7 @@ class MotionStream:
             if not started and sent and (filled or self._room() <= 0):
                 session.post(Start())
                 started = True
+            self._give_up_on_a_lost_link()
             self._resume_after_low_water(filled or self._room() <= 0)
             if on_progress is not None:
                 on_progress(self._progress(first_frame))
@@ -222,6 +237,23 @@ class MotionStream:
             + (f" in {place}" if place is not None else "")
             + "; the arm stands on its path; look at the status, reset, and start again"
         )
+
+    def _give_up_on_a_lost_link(self) -> None:
+        if self._someone_resumes:
+            return
+        status = self._session.status
+        place = self._progress(0).source
+        where = "" if place is None else f" in {place}"
+        if self._session.link_silent:
+            raise LinkLostError(
+                f"the board has been silent for a second{where}; a moving arm holds on its path by itself, motors on; "
+                "check the cable and the board, then look at the status before you home or run again"
+            )
+        if status is not None and status.state is BoardState.HELD and status.hold_cause is HoldCause.LINK_LOST:
+            raise StoppedError(
+                f"the link was lost for a while{where}; the arm holds on its path, its position is trusted; "
+                "stop and reset the board, then run again"
+            )
 
     def _at_rest_at_the_end(self, moved: bool) -> bool:
         status = self._session.status
