@@ -187,8 +187,9 @@ async def _hold_and_leave(session: BoardSession) -> str:
     except Rm501Error as error:
         return f"interrupted, and the board could not be told: {error}; it holds by itself when the link is silent"
     if status.state is BoardState.HELD:
+        trust = "trusted" if status.trusted_mask & _ARM_MOTORS_MASK == _ARM_MOTORS_MASK else "not trusted"
         return (
-            "interrupted: the arm holds on its path, motors on, position trusted; CYCLE START or "
+            f"interrupted: the arm holds on its path, motors on, position {trust}; CYCLE START or "
             "`rm501-host serve` and `resume` go on, `stop` ends it"
         )
     return f"interrupted: the arm is at rest, the board {status.state.name}"
