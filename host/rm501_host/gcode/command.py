@@ -5,8 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from rm501_host.gcode.interpreter import Interpreter
 
 
 @click.command("interpret")
@@ -43,7 +47,6 @@ def interpret_command(
 ) -> None:
     """Print the canonical calls of PROGRAM, one a line; with --json one object a line."""
     from rm501_host.gcode.canon import Units
-    from rm501_host.gcode.canon_format import CanonPrinter, to_json
     from rm501_host.gcode.interpreter import Interpreter, Settings
     from rm501_host.gcode.source import FileLines
     from rm501_host.gcode.tools import load_tool_table
@@ -61,17 +64,27 @@ def interpret_command(
             source,
             settings,
             tools=None if tools is None else load_tool_table(tools),
-            variables=variables,
+            variables=variables if variables is not None and variables.exists() else None,
             on_warning=lambda warning: click.echo(str(warning), err=True),
         )
-        printer = CanonPrinter()
-        write = sys.stdout.write
-        for call in interpreter.calls():
-            if as_json:
-                write(json.dumps(to_json(call)) + "\n")
-            else:
-                for line in printer.lines(call):
-                    write(line.encode("utf-8", "replace").decode("utf-8") + "\n")
-        sys.stdout.flush()
+        try:
+            _print_calls(interpreter, as_json)
+        finally:
+            if variables is not None:
+                interpreter.save_parameters(variables)
     finally:
         source.close()
+
+
+def _print_calls(interpreter: Interpreter, as_json: bool) -> None:
+    from rm501_host.gcode.canon_format import CanonPrinter, to_json
+
+    printer = CanonPrinter()
+    write = sys.stdout.write
+    for call in interpreter.calls():
+        if as_json:
+            write(json.dumps(to_json(call)) + "\n")
+            continue
+        for line in printer.lines(call):
+            write(line.encode("utf-8", "replace").decode("utf-8") + "\n")
+    sys.stdout.flush()

@@ -101,3 +101,13 @@ class Context:
         if mark is not None and mark[0] == self.state.position:
             return mark[1]
         return self.state.position
+
+    def resynchronise(self) -> None:
+        """Before the next block the position is taken from the machine (only the peer's pretended one can differ)."""
+        if self.peer_mark is None or self.pending is not None:
+            return
+
+        def take_position() -> None:
+            self.state.position = self.machine_stands_at().copy()
+
+        self.pending = take_position

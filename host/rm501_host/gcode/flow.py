@@ -95,6 +95,10 @@ class Flow:
     pending_fanuc: bool = False
     jumped_back: bool = False
 
+    def in_main(self) -> bool:
+        """Whether the next block belongs to the main program and is not skipped."""
+        return not self.frames and self.skip is Skip.NO
+
     def call_stack(self) -> tuple[CallFrame, ...]:
         """The calls in force, outermost first."""
         return tuple(CallFrame(frame.label, frame.call) for frame in self.frames)

@@ -18,6 +18,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NoReturn
 
 from rm501_host.gcode import canon as c
 from rm501_host.gcode.block import Block
@@ -36,7 +37,9 @@ from rm501_host.gcode.errors import (
 )
 from rm501_host.gcode.executor import Evaluated, check_words, end_of_program, execute, resolve_motion
 from rm501_host.gcode.expressions import evaluate, parameter_index, to_integer
+from rm501_host.gcode.fast_path import FastPath
 from rm501_host.gcode.flow import Flow, Skip
+from rm501_host.gcode.motion import as_axes
 from rm501_host.gcode.parameters import G5X, G5X_INDEX, G92, G92_ACTIVE, Parameters
 from rm501_host.gcode.parser import column_of, g_modes, m_modes, parse_block, parse_control
 from rm501_host.gcode.registry import M_IO
@@ -48,13 +51,7 @@ BLOCK_CACHE = 4096
 """Parsed blocks kept: more than any loop has, a few MB at most."""
 HEARTBEAT_BLOCKS = 10_000
 MAX_WARNINGS = 1000
-
-_NUM = r"([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))"
-_FAST = re.compile(
-    rf"[ \t]*(?:[nN]([0-9]{{1,9}})[ \t]*(?=[^0-9. \t]))?(?:[gG]0?([0-3])(?![0-9.])[ \t]*)?(?:[fF][ \t]*{_NUM}[ \t]*)?"
-    + "".join(rf"(?:[{a}{a.upper()}][ \t]*{_NUM}[ \t]*)?" for a in "xyzabcijr")
-    + rf"(?:[fF][ \t]*{_NUM}[ \t]*)?\Z"
-)
+_MOTIONS = c.StraightFeed | c.StraightTraverse | c.ArcFeed | c.NurbsFeed
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +120,7 @@ class Interpreter:
         self._flow = Flow(source, self._find_file, scope=(source.name, ""))
         self._cache: dict[str, Block] = {}
         self._stop = False
-        self._ended = False
+        self._moved = False
         self._opened: list[FileLines] = []
         self._start_state()
 
@@ -178,6 +175,10 @@ class Interpreter:
         yield from out
         out.clear()
 
+    def save_parameters(self, path: Path) -> None:
+        """Write the variable file, atomically. Raises GcodeFileError."""
+        self.parameters.save(path)
+
     # -- inside
 
     def _signal(self, signal: c.Signal) -> None:
@@ -225,12 +226,13 @@ class Interpreter:
         """Run block by block; control comes back after every block that made calls."""
         flow, ctx, out, cache = self._flow, self._context, self._out, self._cache
         parameters = self.parameters
-        fast = self._fast
+        fast = FastPath(self.state, self._out, ctx).run
         source = flow.source
         base = 0
         lines: list[str] = []
         silent = blocks = 0
         limit = self.settings.max_blocks
+        starting = self.settings.start_line if self.settings.start_line > 1 else 0
         percent = self._skip_to_program()
         while True:
             if flow.source is not source:
@@ -241,15 +243,27 @@ class Interpreter:
                 base, lines = source.block(index)
                 local = index - base
                 if not lines:
+                    if starting:
+                        self._never_reached(starting)
                     self._end_of_file(percent)
-                    return
             text = lines[local]
             flow.pc = index + 1
             if ctx.pending is not None:
                 self._take_answer()
+            if (
+                starting
+                and index + 1 >= starting
+                and not flow.frames
+                and flow.skip is Skip.NO
+                and source is self.source
+            ):
+                starting = 0
+                self._begin_here(index + 1, text)
+                yield None
             if flow.skip is Skip.NO and fast(text, index + 1, source.name):
                 silent = 0
-                yield None
+                if not starting:
+                    yield None
                 blocks += 1
             else:
                 if "\0" in text:
@@ -263,6 +277,8 @@ class Interpreter:
                 if block is None:
                     block = self._parse(text, source.name, index + 1)
                 if block is not None and self._run_block(block, text, source.name, index + 1):
+                    if starting:
+                        self._never_reached(starting)
                     if percent:
                         out.append(c.Comment("interpreter: percent sign missing from end of file", ctx.at))
                     self._warn_unfinished()
@@ -271,17 +287,67 @@ class Interpreter:
                 silent += 1
                 if out:
                     silent = 0
-                    yield None
+                    if not starting:
+                        yield None
                 elif silent >= HEARTBEAT_BLOCKS:
                     silent = 0
                     out.append(c.Heartbeat(HEARTBEAT_BLOCKS, ctx.at))
                     yield None
+            if starting:
+                self._pass_over(starting)
             if self._stop:
                 raise GcodeStoppedError("the interpreter was asked to stop")
             if limit is not None and blocks > limit:
                 raise GcodeLimitError(
                     f"the program did not end within {limit} blocks", "It may loop for ever; raise the limit if not."
                 )
+
+    # -- run from line
+
+    def _never_reached(self, line: int) -> NoReturn:
+        raise GcodeFlowError(
+            f"the start line {line} is never reached", "Choose a line of the main program that is executed."
+        )
+
+    def _pass_over(self, starting: int) -> None:
+        """Drop the calls of blocks before the start line; refuse those whose outcome only the machine knows."""
+        for call in self._out:
+            if isinstance(call, c.WaitInput | c.StraightProbe):
+                raise GcodeFlowError(
+                    f"cannot start at line {starting}: this block before it asks the machine",
+                    "Start before it, or remove it.",
+                )
+            self._moved = self._moved or isinstance(call, _MOTIONS)
+        self._out.clear()
+
+    def _begin_here(self, line: int, text: str) -> None:
+        """Restore what the lines before have set, then go to where they left the tool."""
+        state, ctx, out = self.state, self._context, self._out
+        out.clear()
+        ctx.at = at = Location(self.source.name, line, text)
+        out.append(c.UseLengthUnits(state.units, at))
+        out.append(c.SelectPlane(state.plane, at))
+        emit_g5x(ctx)
+        emit_g92(ctx)
+        emit_rotation(ctx)
+        if state.current_tool:
+            out.append(c.SelectTool(state.current_tool, at))
+            out.append(c.ChangeTool(state.current_tool, at))
+        if any(state.tool_offset):
+            out.append(c.UseToolLengthOffset(as_axes(state.tool_offset), at))
+        out.append(c.SetFeedRate(state.feed, at))
+        out.append(c.SetMotionControlMode(state.control_mode, state.control_tolerance, at))
+        if state.control_mode is c.MotionMode.CONTINUOUS:
+            out.append(c.SetNaivecamTolerance(state.naivecam_tolerance, at))
+        if state.spindle:
+            out.append(c.SetSpindleSpeed(state.speed, at))
+            signals = c.Signal.START_SPINDLE_CLOCKWISE, c.Signal.START_SPINDLE_COUNTERCLOCKWISE
+            out.append(c.SignalCall(signals[0] if state.spindle > 0 else signals[1], at))
+        for on, signal in ((state.mist, c.Signal.MIST_ON), (state.flood, c.Signal.FLOOD_ON)):
+            if on:
+                out.append(c.SignalCall(signal, at))
+        if self._moved:
+            out.append(c.StraightTraverse(as_axes(state.position), at))
 
     def _take_answer(self) -> None:
         pending, self._context.pending = self._context.pending, None
@@ -315,7 +381,7 @@ class Interpreter:
             raise GcodeFlowError("text behind a percent sign", "Only a comment-free % may end the program.")
         self._signal(c.Signal.FINISH)
 
-    def _end_of_file(self, percent: bool) -> None:
+    def _end_of_file(self, percent: bool) -> NoReturn:
         flow, ctx = self._flow, self._context
         if flow.skip is not Skip.NO and flow.skip_at is not None:
             what = {
@@ -468,68 +534,6 @@ class Interpreter:
                 if error.offset is None:
                     error.offset = offset
                 raise
-
-    # -- the fast path
-
-    def _fast(self, text: str, line: int, name: str) -> bool:
-        """Read and execute a plain G0 to G3 block; False leaves it to the long way, untouched."""
-        match = _FAST.match(text)
-        if match is None:
-            return False
-        state = self.state
-        n, g, feed_first, x, y, z, a, b, cc, i, j, r, feed = match.groups()
-        if g is None:
-            motion = state.motion
-            if motion != 10 and motion != 0:
-                return False
-            if x is None and y is None and z is None and a is None and b is None and cc is None:
-                return False
-        else:
-            motion = 10 * int(g)
-            if motion >= 20:
-                return False
-        if i is not None or j is not None or r is not None:
-            return False
-        if (
-            not state.absolute
-            or state.inverse_time
-            or state.rotation is not None
-            or (feed is not None and feed_first is not None)
-            or len(text) > 252
-        ):
-            return False
-        if feed is None:
-            feed = feed_first
-        at = Location(name, line, text, None if n is None else int(n))
-        position = state.position
-        if x is None and y is None and z is None and a is None and b is None and cc is None:
-            return False
-        if feed is not None:
-            rate = float(feed)
-            if rate < 0.0 or (rate == 0.0 and motion == 10):
-                return False
-            state.feed = rate
-            self._out.append(c.SetFeedRate(rate, at))
-        elif motion == 10 and state.feed == 0.0:
-            return False
-        if x is not None:
-            position[0] = float(x)
-        if y is not None:
-            position[1] = float(y)
-        if z is not None:
-            position[2] = float(z)
-        if a is not None:
-            position[3] = float(a)
-        if b is not None:
-            position[4] = float(b)
-        if cc is not None:
-            position[5] = float(cc)
-        target = (position[0], position[1], position[2], position[3], position[4], position[5])
-        state.motion = motion
-        state.nurbs = None
-        self._out.append(c.StraightTraverse(target, at) if motion == 0 else c.StraightFeed(target, at))
-        self._context.at = at
-        return True
 
 
 def interpret(

@@ -69,7 +69,6 @@ def _wait_input(ctx: Context, words: Words) -> None:
             raise GcodeModalError("M66 out of range", "Inputs count from 0, L is 0 to 4, Q is not negative.")
     ctx.emit(c.WaitInput(index, analog, mode, timeout, ctx.at))
     feedback, parameters = ctx.feedback, ctx.parameters
-    ctx.state.position = ctx.machine_stands_at().copy()
 
     def take_result() -> None:
         parameters.numbered[INPUT_RESULT] = feedback.input_value(index, analog, mode, timeout)
@@ -84,7 +83,7 @@ def _tool(ctx: Context, code: int, words: Words) -> None:
         _signal(ctx, c.Signal.STOP_SPINDLE_TURNING)
         ctx.emit(c.ChangeTool(state.selected_tool, ctx.at))
         state.current_tool = state.tool_in_spindle = state.selected_tool
-        state.position = ctx.machine_stands_at().copy()
+        ctx.resynchronise()
         return
     number = to_integer(words["q"], "Q, the tool number") if "q" in words else -1
     if number < 0:
@@ -92,7 +91,7 @@ def _tool(ctx: Context, code: int, words: Words) -> None:
     if ctx.tools.get(number) is None:
         raise GcodeModalError(f"requested tool {number} not found in the tool table", "Add it, or check the number.")
     ctx.emit(c.ChangeToolNumber(number, ctx.at))
-    state.position = ctx.machine_stands_at().copy()
+    ctx.resynchronise()
     state.current_tool = number
     if not ctx.peer_standalone:
         state.tool_in_spindle = number
