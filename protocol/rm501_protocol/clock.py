@@ -27,12 +27,25 @@ from dataclasses import dataclass
 
 __all__ = ["ClockEstimator", "ClockQuality"]
 
-WINDOW_SAMPLES = 120
-"""12 s at 10 Hz: long enough to meet quick packets in both directions, short enough for a wandering oscillator."""
+WINDOW_SAMPLES = 600
+"""60 s at 10 Hz: long enough to meet quick packets in both directions, short enough for a wandering oscillator."""
 MAX_DRIFT_PPM = 500.0
-_JUMP_US = 500
-"""A measurement that is too quick by more than this, in one direction, is evidence for a jump of a clock."""
+_JUMP_US, _JUMP_EARLY_US = 200, 500
+"""A measurement too quick by more than this, in one direction, is evidence for a jump of a clock; the second while the
+envelopes still settle.
+"""
 _JUMP_SAMPLES = 3
+_ACQUIT_SAMPLES = 30
+"""So many ordinary measurements after a suspicious one acquit it."""
+_SETTLED_SAMPLES = 10
+_ENVELOPE_SAMPLES = 100
+_REFIT_SAMPLES = 20
+"""Samples after which the fit that jumps are judged by is made anew, even if nobody asks for it."""
+_SLOPE_SPAN_US = 8_000_000
+"""Measurements over less time than this give a worse drift than the one known from before a jump."""
+_BIAS_RANK = 6
+_BIAS = 2.5
+"""Between 1 (delays with an exponential tail) and 3.5 (sums of two such, as with a polling host): `_lower_end`."""
 _WRAP = 1 << 32
 
 
@@ -76,7 +89,11 @@ class ClockEstimator:
         self._fit: _Fit | None = None
         self._fresh = False
         self._last_ticks: int | None = None
-        self._suspects = 0
+        self._held: list[tuple[int, int, int]] = []
+        self._unsuspected = 0
+        self._unfitted = 0
+        self._known_slope: float | None = None  # survives a jump: the oscillator is still the same
+        self._last_suspect_us = 0.0
         self._jumps = 0
         self._last_jump_us = 0.0
 
@@ -86,7 +103,8 @@ class ClockEstimator:
         self._fit = None
         self._fresh = False
         self._last_ticks = None
-        self._suspects = 0
+        self._known_slope = None
+        self._held.clear()
 
     def add(
         self,
@@ -111,11 +129,26 @@ class ClockEstimator:
         middle_us = (sent_us + arrived_us) // 2
         out_us = round(received / self._ticks_per_us) - sent_us - line_out_us
         in_us = arrived_us - round(replied / self._ticks_per_us) - line_in_us
-        if self._is_jump(middle_us, out_us, in_us):
+        sample = (middle_us, out_us, in_us)
+        if self._is_suspect(sample):
+            self._held.append(sample)
+            if len(self._held) < _JUMP_SAMPLES:
+                return
+            self._jumps += 1
+            self._last_jump_us = self._last_suspect_us
             self._samples.clear()
             self._fit = None
-        self._samples.append((middle_us, out_us, in_us))
+            self._release()
+        else:
+            if self._held:
+                self._unsuspected += 1
+                if self._unsuspected > _ACQUIT_SAMPLES:
+                    self._release()
+            self._samples.append(sample)
         self._fresh = False
+        self._unfitted += 1
+        if self._unfitted >= _REFIT_SAMPLES:
+            self._fitted()
 
     @property
     def ready(self) -> bool:
@@ -158,32 +191,35 @@ class ClockEstimator:
     def _extend(self, ticks: int) -> int:
         return self.extend_ticks(ticks)
 
-    def _is_jump(self, time_us: int, out_us: int, in_us: int) -> bool:
-        """A jump makes one way too quick and the other too slow by the same amount; it is believed after a few in a
-        row.
-        """
+    def _is_suspect(self, sample: tuple[int, int, int]) -> bool:
+        """A jump makes one way too quick and the other too slow by the same amount; a few of a kind in a row are one."""
         fit = self._fit
-        if fit is None:
+        if fit is None or len(self._samples) < _SETTLED_SAMPLES:
             return False
+        time_us, out_us, in_us = sample
         theta = fit.offset_us + fit.slope * (time_us - fit.reference_us)
         spare_out = out_us - theta - fit.envelope_out_us
         spare_in = in_us + theta - fit.envelope_in_us
-        tolerance_us = _JUMP_US + abs(time_us - fit.reference_us) * 50e-6
+        settled = len(self._samples) >= _ENVELOPE_SAMPLES
+        tolerance_us = (_JUMP_US if settled else _JUMP_EARLY_US) + abs(time_us - fit.reference_us) * 20e-6
         if spare_out < -tolerance_us and spare_in > tolerance_us / 2:
-            self._suspects = min(self._suspects, 0) - 1
             size_us = spare_out
         elif spare_in < -tolerance_us and spare_out > tolerance_us / 2:
-            self._suspects = max(self._suspects, 0) + 1
             size_us = -spare_in
         else:
-            self._suspects = 0
             return False
-        if abs(self._suspects) < _JUMP_SAMPLES:
-            return False
-        self._suspects = 0
-        self._jumps += 1
-        self._last_jump_us = size_us
+        if self._held and (size_us > 0) != (self._last_suspect_us > 0):
+            self._release()
+        self._last_suspect_us = size_us
         return True
+
+    def _release(self) -> None:
+        """Take the suspects for what they are: ordinary samples, or the first after a jump."""
+        ordered = sorted((*self._samples, *self._held))
+        self._samples.clear()
+        self._samples.extend(ordered)
+        self._held.clear()
+        self._unsuspected = 0
 
     def _fitted(self) -> _Fit:
         if self._fresh and self._fit is not None:
@@ -191,27 +227,58 @@ class ClockEstimator:
         if not self._samples:
             raise ValueError("no clock samples yet")
         reference_us, base, _ = self._samples[-1]
-        points = [(t - reference_us, f - base, b + base) for t, f, b in self._samples]
-        slope = _best_slope(points)
-        low_out = min(f - slope * t for t, f, _ in points)
-        low_in = min(b + slope * t for t, _, b in points)
+        out = [(t - reference_us, f - base) for t, f, _ in self._samples]
+        back = [(t - reference_us, b + base) for t, _, b in self._samples]
+        if out[-1][0] - out[0][0] >= _SLOPE_SPAN_US:
+            slope = self._known_slope = _best_slope(out, back)
+        elif self._known_slope is not None:
+            slope = self._known_slope
+        else:
+            slope = _best_slope(out, back)
+        low_out = _lower_end(sorted(f - slope * t for t, f in out))
+        low_in = _lower_end(sorted(b + slope * t for t, b in back))
         centre = (low_out - low_in) / 2
         self._fit = _Fit(reference_us, base + centre, slope, low_out - centre, low_in + centre)
         self._fresh = True
+        self._unfitted = 0
         return self._fit
 
 
-def _best_slope(points: list[tuple[int, int, int]]) -> float:
+def _lower_end(values: list[float]) -> float:
+    """Where the delays begin, from sorted measurements: the smallest lies above it by about what the next ones lie
+    above the smallest.
+    """
+    rank = min(_BIAS_RANK, len(values) // 8)
+    if rank < 2:
+        return values[0]
+    return values[0] - _BIAS * (values[rank - 1] - values[0]) / (rank - 1)
+
+
+def _lower_hull(points: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The lower convex hull of points in rising order of time: all that a supporting line from below can touch."""
+    hull: list[tuple[int, int]] = []
+    for t, value in points:
+        while len(hull) >= 2:
+            (t0, v0), (t1, v1) = hull[-2], hull[-1]
+            if (v1 - v0) * (t - t0) < (value - v0) * (t1 - t0):
+                break
+            hull.pop()
+        hull.append((t, value))
+    return hull
+
+
+def _best_slope(out: list[tuple[int, int]], back: list[tuple[int, int]]) -> float:
     """The slope that maximises the sum of both envelopes: ternary search over a concave function."""
-    span_us = points[-1][0] - points[0][0]
-    if len(points) < 8 or span_us < 500_000:
+    span_us = out[-1][0] - out[0][0]
+    if len(out) < 8 or span_us < 500_000:
         return 0.0
+    low_out, low_back = _lower_hull(out), _lower_hull(back)
 
     def height(slope: float) -> float:
-        return min(f - slope * t for t, f, _ in points) + min(b + slope * t for t, _, b in points)
+        return min(f - slope * t for t, f in low_out) + min(b + slope * t for t, b in low_back)
 
     low, high = -MAX_DRIFT_PPM * 1e-6, MAX_DRIFT_PPM * 1e-6
-    while high - low > 0.2e-6:
+    while high - low > 0.1e-6:
         third = (high - low) / 3
         if height(low + third) < height(high - third):
             low += third

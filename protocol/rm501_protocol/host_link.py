@@ -9,6 +9,7 @@ from typing import ClassVar
 from .clock import ClockEstimator
 from .declaration import Direction, Message
 from .errors import LinkClosedError, LinkFullError
+from .framing import FRAME_OVERHEAD
 from .header import FLAG_FROM_BOARD, FLAG_OPEN, FLAG_SEQUENCED, Header, ahead
 from .link_core import LinkCore
 from .link_events import (
@@ -66,6 +67,7 @@ class HostLink(LinkCore):
         self._stop_due_us = 0
         self._stop_fresh = False
         self._clock_due_us: int | None = None
+        self._query_line_us = 0
         self._silent = False
 
     # ------------------------------------------------------------------------------------- public
@@ -150,7 +152,15 @@ class HostLink(LinkCore):
         return self._open and self._stop is None
 
     def _stamped(self, message: Message, now_us: int) -> Message:
-        return ClockQuery(now_us & 0xFFFFFFFF) if isinstance(message, ClockQuery) else message
+        if not isinstance(message, ClockQuery):
+            return message
+        waits_us = max(0, self._line_free_us - now_us)
+        self._query_line_us = waits_us + self._line_us(FRAME_OVERHEAD + 4)
+        return ClockQuery(now_us & 0xFFFFFFFF)
+
+    def _line_us(self, size: int) -> int:
+        """How long `size` bytes are on the line."""
+        return 0 if self._bytes_per_second is None else size * 1_000_000 // self._bytes_per_second
 
     def _send_first(self, out: list[bytes], now_us: int) -> None:
         if self._stop is None or now_us < self._stop_due_us:
@@ -246,7 +256,8 @@ class HostLink(LinkCore):
         reply = self._unsequenced_message(header, payload)
         if isinstance(reply, ClockReply):
             sent_us = now_us - ((now_us - reply.host_us) & 0xFFFFFFFF)
-            self.clock.add(sent_us, reply.received_ticks, reply.sent_ticks, now_us)
+            line_in_us = self._line_us(FRAME_OVERHEAD + len(payload))
+            self.clock.add(sent_us, reply.received_ticks, reply.sent_ticks, now_us, self._query_line_us, line_in_us)
 
     def _remember_epoch(self, epoch: int) -> None:
         if epoch not in self._old_epochs:
