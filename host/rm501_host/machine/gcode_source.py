@@ -1,0 +1,221 @@
+"""Programs and single blocks as moves, in the machine's own surroundings.
+
+The interpreter sees the variable file (work offsets, persistent parameters), the tool table, and the teach points: as
+named parameters `#<_point_NAME_q1>` to `q5`, and as the subroutine `O<goto> CALL [number]`, a rapid to the recorded
+position in machine coordinates, whatever units and offsets are active.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from rm501_host.errors import RefusedError
+from rm501_host.gcode.canon import CanonCall, OperatorMessage
+from rm501_host.gcode.errors import GcodeFlowError, Location
+from rm501_host.gcode.interpreter import Interpreter, Settings
+from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve
+from rm501_host.gcode.source import FileLines
+from rm501_host.gcode.tools import ToolTable, load_tool_table
+from rm501_host.kinematics import Arm
+from rm501_host.moves import JointMove, Message, Move, Pause, ProgramEnd, Source, ToolChange
+from rm501_host.storage import write_atomic
+from rm501_host.teach import TeachFile
+
+STEP_MARK = "\0step"
+"""Text of the message that stands between two blocks in single block mode: a place at rest."""
+MAX_MDI_HISTORY = 500
+_END_OF_BLOCK = "-- end of block --"
+Joints = Callable[[], Sequence[float]]
+
+
+@dataclass
+class InputAnswer:
+    """What M66 is answered with: the consumer waits for the input, the interpreter then takes the value."""
+
+    value: float = 0.0
+
+    def input_value(self, index: int, analog: bool, mode: int, timeout_s: float) -> float:
+        """The value that was waited for."""
+        del index, analog, mode, timeout_s
+        return self.value
+
+    def probe_result(self, target: object) -> object:
+        """There is no probe."""
+        raise RefusedError("there is no probe input on this machine; remove G38 from the program")
+
+
+@dataclass
+class Surroundings:
+    """What programs find around them; `folder` holds the daemon's own files."""
+
+    folder: Path
+    programs: Path
+    teach: TeachFile
+    answer: InputAnswer = field(default_factory=InputAnswer)
+
+    @property
+    def variables(self) -> Path:
+        """The variable file."""
+        return self.folder / "rm501.var"
+
+    @property
+    def tool_file(self) -> Path:
+        """The tool table."""
+        return self.folder / "tool.tbl"
+
+    def tools(self) -> ToolTable:
+        """The tool table as it is on disk; empty without a file."""
+        return load_tool_table(self.tool_file) if self.tool_file.is_file() else ToolTable()
+
+    def interpreter(self, lines: object, arm: Arm, settings: Settings) -> Interpreter:
+        """An interpreter with everything around it."""
+        self._write_goto(arm)
+        variables = self.variables if self.variables.is_file() else None
+        interpreter = Interpreter(
+            lines,  # type: ignore[arg-type]  # any ProgramLines
+            settings,
+            tools=self.tools(),
+            variables=variables,
+            feedback=self.answer,  # type: ignore[arg-type]  # probe_result only raises
+        )
+        for point in self.teach.points:
+            for index, angle in enumerate(point.q_deg, start=1):
+                interpreter.parameters.globals[f"_point_{point.name}_q{index}"] = angle
+        return interpreter
+
+    def settings(self, **changes: object) -> Settings:
+        """Settings with the subroutine folders."""
+        return Settings(subroutine_path=(self.programs, self.folder), **changes)  # type: ignore[arg-type]
+
+    def save_variables(self, interpreter: Interpreter) -> None:
+        """Keep the persistent parameters; raises GcodeFileError."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        interpreter.parameters.save(self.variables)
+
+    def _write_goto(self, arm: Arm) -> None:
+        """The subroutine `goto`, made from the teach points."""
+        lines = ["; made from the teach points, do not edit", "o<goto> sub", "M73 G21 G90"]
+        keyword = "if"
+        for point in self.teach.points:
+            x, y, z, a, b, c = arm.program_from_joints(np.array(point.q_deg))
+            lines.append(f"o1 {keyword} [#1 EQ {point.number}]")
+            lines.append(f"  G53 G0 X{x:.6f} Y{y:.6f} Z{z:.6f} A{a:.6f} B{b:.6f} C{c:.6f}")
+            keyword = "elseif"
+        if keyword == "elseif":
+            lines += ["o1 else", "  (abort,there is no teach point #1)", "o1 endif"]
+        else:
+            lines.append("(abort,there are no teach points)")
+        lines.append("o<goto> endsub")
+        text = "\n".join(lines) + "\n"
+        path = self.folder / "goto.ngc"
+        if not path.is_file() or path.read_text("utf-8") != text:
+            write_atomic(path, text.encode())
+
+
+def program_moves(
+    path: Path, arm: Arm, joints_deg: Joints, around: Surroundings, *, start_line: int, max_blocks: int, step: bool
+) -> Iterator[Move]:
+    """The moves of a program file, read as they are taken; raises GcodeError and its kin naming file and line.
+
+    `step`: a STEP_MARK message after every block that moves.
+    """
+    source = FileLines.open(path, path.name)
+    try:
+        interpreter = around.interpreter(source, arm, around.settings(start_line=start_line, max_blocks=max_blocks))
+        interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
+        last: Source | None = None
+        tool = arm
+        for move in resolve(interpreter.calls(), ResolveOptions()):
+            _refuse_external(move)
+            if isinstance(move, ToolChange):
+                tool = arm.with_tool(move.length_mm, move.offset_mm)
+            if step and last is not None and move.source.line != last.line and not isinstance(move, ProgramEnd):
+                yield Message(STEP_MARK, last)
+                last = None
+            yield move  # type: ignore[misc]  # external actions were refused
+            if not isinstance(move, Message | Pause | ProgramEnd | ToolChange):
+                last = move.source
+            if isinstance(move, JointMove):
+                interpreter.set_position(tool.program_from_joints(np.array(joints_deg())))
+        around.save_variables(interpreter)
+    finally:
+        source.close()
+
+
+class MdiSession:
+    """Single blocks, one after another, with the modes and parameters that earlier ones left behind.
+
+    After an error the modes are the defaults again; offsets and persistent parameters stay, they are in the variable
+    file.
+    """
+
+    def __init__(self, around: Surroundings) -> None:
+        self._around = around
+        self._lines = _BlockByBlock()
+        self._interpreter: Interpreter | None = None
+        self._calls: Iterator[CanonCall] = iter(())
+        self._resolver = Resolver()
+        self.history: deque[str] = deque(maxlen=MAX_MDI_HISTORY)
+
+    def moves(self, block: str, arm: Arm, joints_deg: Joints) -> Generator[Move, None, None]:
+        """The moves of one block; raises GcodeError, RefusedError."""
+        if "\n" in block or "\r" in block:
+            raise RefusedError("MDI takes one block; put several into a program")
+        self.history.append(block)
+        try:
+            interpreter = self._live(arm)
+            self._lines.put(block)
+            interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
+            for call in self._calls:
+                if isinstance(call, OperatorMessage) and call.text.strip() == _END_OF_BLOCK:
+                    break
+                for move in self._resolver.feed(call):
+                    _refuse_external(move)
+                    yield move  # type: ignore[misc]  # external actions were refused
+                    if isinstance(move, JointMove):
+                        interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
+                    if isinstance(move, ProgramEnd):
+                        self._interpreter = None
+            self._around.save_variables(interpreter)
+        except BaseException:
+            self._interpreter = None
+            raise
+
+    def _live(self, arm: Arm) -> Interpreter:
+        """The interpreter that the last block left behind, or a new one."""
+        if self._interpreter is None:
+            self._lines = _BlockByBlock()
+            self._interpreter = self._around.interpreter(self._lines, arm, self._around.settings())
+            self._calls = self._interpreter.calls()
+            self._resolver = Resolver()
+        return self._interpreter
+
+
+class _BlockByBlock:
+    """A program that grows: every block is followed by a message that says it is over."""
+
+    def __init__(self) -> None:
+        self.name = "(mdi)"
+        self._first = 0
+        self._pair: list[str] = []
+
+    def put(self, block: str) -> None:
+        """The next block."""
+        self._first += len(self._pair)
+        self._pair = [block, f"(MSG,{_END_OF_BLOCK})"]
+
+    def block(self, index: int) -> tuple[int, list[str]]:
+        """The newest block and its message; nothing else is there any more."""
+        return (self._first, self._pair) if 0 <= index - self._first < len(self._pair) else (index, [])
+
+
+def _refuse_external(move: Move | ExternalAction) -> None:
+    if isinstance(move, ExternalAction):
+        error = GcodeFlowError(f"M{move.number} has no action here", "Remove it from the program.")
+        error.location = Location(move.source.file, move.source.line, move.source.block)
+        raise error

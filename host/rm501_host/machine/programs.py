@@ -1,0 +1,323 @@
+"""Running programs and single blocks on the machine.
+
+    load        interpret and plan all of it from where the arm stands: nothing moves, every error is found here
+    run         play it; pauses, messages and inputs are handled at rest, between stretches of motion
+    afterwards  the last executed line stays, so `run --line` can go on from there when an operator says so
+
+A program that asks the outside world (M66) or never ends cannot be checked to its end. It is checked up to that
+point and planned again as it runs; status says `checked to line N`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+from rm501_host.errors import RefusedError, StoppedError
+from rm501_host.gcode.errors import GcodeLimitError
+from rm501_host.machine.gcode_source import STEP_MARK, MdiSession, Surroundings, program_moves
+from rm501_host.machine.jobs import Job, JobKind
+from rm501_host.machine.lease import Owner
+from rm501_host.machine.machine import Machine
+from rm501_host.machine.program_files import ProgramFiles
+from rm501_host.motion import Progress
+from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProbeMove, ProgramEnd, Source
+from rm501_host.planner import Piece, PieceKind, Planner
+from rm501_host.planner.pieces import Action
+
+_INPUT_POLL_S = 0.01
+_KEPT_PIECES = 200_000
+_SHOWN_BYTES = 5_000_000
+_IMMEDIATE, _RISE, _FALL, _HIGH = range(4)
+"""M66 L0 to L3; L4 is low."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What the preflight of a program found: how long it takes, how far it was checked."""
+
+    name: str
+    line: int
+    duration_s: float
+    motion_s: float
+    complete: bool
+    checked_to_line: int
+    start_deg: tuple[float, ...]
+    speed: float
+    pieces: tuple[Piece, ...]
+
+
+class Programs:
+    """The loaded program and the one that runs."""
+
+    def __init__(self, machine: Machine, files: ProgramFiles, around: Surroundings) -> None:
+        self.files = files
+        self.single_block = False
+        self.optional_stop = False
+        self.name = ""
+        self.line = 0
+        self.block = ""
+        self.progress = 0.0
+        self.checked: Checked | None = None
+        self._machine = machine
+        self._around = around
+        self._mdi = MdiSession(around)
+        self._done_frames = 0
+        self._planned_frames = 0
+        self._total_s = 0.0
+        self._lines: list[str] = []
+
+    @property
+    def time_left_s(self) -> float:
+        """Path time left of the program that runs, at 100 %."""
+        return max(0.0, self._total_s * (1.0 - self.progress)) if self.name else 0.0
+
+    @property
+    def mdi_history(self) -> list[str]:
+        """Blocks given by MDI, oldest first."""
+        return list(self._mdi.history)
+
+    # ------------------------------------------------------------------------------------------ preflight
+
+    async def load(self, name: str, *, line: int = 1, speed: float = 1.0) -> Checked:
+        """Interpret and plan a program from here; raises ProgramNameError, GcodeError, PlanError, RefusedError."""
+        path = self.files.path(name)
+        if not 0.0 < speed <= 2.0:
+            raise RefusedError(f"speed {speed} is not above 0 and at most 2")
+        if missing := self._machine.arm_state.unhomed():
+            raise RefusedError(
+                f"not homed: {', '.join(missing)}; home first, a program is checked from where the arm is"
+            )
+        start = self._machine.planning_start_deg
+        step = self.single_block
+        loop = asyncio.get_running_loop()
+        checked = await loop.run_in_executor(None, lambda: self._check(path, line, start, speed, step))
+        self.checked = checked
+        self.name, self.line, self.block, self.progress = name, 0, "", 0.0
+        self._total_s = checked.duration_s
+        self._lines = _lines_of(path)
+        self._machine.write_log("program_loaded", name=name, line=line, duration_s=round(checked.duration_s, 3))
+        return checked
+
+    def _check(self, path: Path, line: int, start: tuple[float, ...], speed: float, step: bool) -> Checked:
+        kept: list[Piece] = []
+        duration_s = motion_s = 0.0
+        complete, last_line = True, line
+        try:
+            for piece in self._pieces(path, line, start, speed, step):
+                if piece.kind is PieceKind.MARK and isinstance(piece.move, InputWait):
+                    complete = False
+                    break
+                if isinstance(piece.move, ProbeMove):
+                    raise RefusedError(f"{piece.source}: there is no probe on this machine; remove G38")
+                duration_s += piece.duration_s
+                motion_s += piece.motion_s
+                last_line = max(last_line, piece.source.line)
+                kept.append(piece)
+                if len(kept) > _KEPT_PIECES:
+                    complete = False
+                    break
+        except GcodeLimitError:
+            complete = False
+        return Checked(
+            path.name,
+            line,
+            duration_s,
+            motion_s,
+            complete,
+            last_line,
+            start,
+            speed,
+            tuple(kept) if complete else (),
+        )
+
+    def _pieces(self, path: Path, line: int, start: tuple[float, ...], speed: float, step: bool) -> Iterator[Piece]:
+        machine = self._machine
+        planner = Planner(machine.arm, machine.config, start, speed_scale=speed)
+        moves = program_moves(
+            path,
+            machine.arm,
+            lambda: tuple(planner.q_deg.tolist()),
+            self._around,
+            start_line=line,
+            max_blocks=machine.config.preflight.max_blocks,
+            step=step,
+        )
+        return planner.plan(moves)
+
+    # ------------------------------------------------------------------------------------------------- run
+
+    async def run(self, who: Owner, name: str, *, line: int = 1, speed: float = 1.0) -> Job:
+        """Check and start a program; raises what `load` raises, and what `Machine.start_job` raises."""
+        self._machine.lease.require(who)
+        checked = await self.load(name, line=line, speed=speed)
+        step = self.single_block
+
+        async def body(job: Job) -> None:
+            if tuple(self._machine.planning_start_deg) != checked.start_deg:
+                raise RefusedError("the arm moved while the program was checked; start it again")
+            pieces: Iterator[Piece] = (
+                iter(checked.pieces)
+                if checked.complete
+                else self._pieces(self.files.path(name), line, checked.start_deg, speed, step)
+            )
+            self._done_frames = 0
+            await self._play(pieces)
+            self.progress = 1.0
+            job.result.update(program=name, duration_s=round(checked.duration_s, 6))
+
+        return self._machine.start_job(JobKind.PROGRAM, who, body)
+
+    async def mdi(self, who: Owner, block: str) -> Job:
+        """Run one block; raises GcodeError, PlanError when it is wrong: nothing moved then."""
+        machine = self._machine
+        machine.lease.require(who)
+        if machine.arm_state.unhomed() == () and machine.job is None:
+            start = machine.planning_start_deg
+            planner = Planner(machine.arm, machine.config, start)
+            joints: Callable[[], tuple[float, ...]] = lambda: tuple(planner.q_deg.tolist())  # noqa: E731
+            moves = self._mdi.moves(block, machine.arm, joints)
+            loop = asyncio.get_running_loop()
+            try:
+                pieces = await loop.run_in_executor(None, lambda: tuple(planner.plan(moves)))
+            finally:
+                moves.close()
+        else:
+            pieces = ()
+
+        async def body(job: Job) -> None:
+            self.name, self._lines = "", []
+            await self._play(iter(pieces))
+
+        return machine.start_job(JobKind.MDI, who, body)
+
+    # ------------------------------------------------------------------------------------------ while it runs
+
+    async def _play(self, pieces: Iterator[Piece]) -> None:
+        """Play up to each mark, act on it at rest, go on; raises StoppedError and its kin."""
+        machine = self._machine
+        loop = asyncio.get_running_loop()
+        run = _Runs(pieces)
+        while True:
+            if machine.stream is None:
+                raise StoppedError("the machine was switched off")
+            first = await loop.run_in_executor(None, run.peek)
+            if first:
+                await machine.stream.play(run.until_mark(), self._on_progress)
+                self._done_frames += self._planned_frames
+            mark = run.mark
+            if mark is None:
+                return
+            if isinstance(mark.move, ProgramEnd):
+                return
+            await self._act(mark.move)
+
+    def _on_progress(self, progress: Progress) -> None:
+        self._planned_frames = progress.planned_frames
+        if progress.source is not None and progress.source.line:
+            self._show(progress.source)
+        if self._total_s > 0:
+            done_s = (self._done_frames + progress.played_frames) * self._machine.frame_s
+            self.progress = min(1.0, done_s / self._total_s)
+
+    def _show(self, source: Source) -> None:
+        self.line = source.line
+        known = 0 < source.line <= len(self._lines)
+        self.block = self._lines[source.line - 1] if known else source.block
+
+    async def _act(self, move: Move | Action | None) -> None:
+        """Do what a mark asks for."""
+        machine = self._machine
+        match move:
+            case Message(text=text, source=source) if text == STEP_MARK:
+                self._show(source)
+                if self.single_block:
+                    await machine.wait_for_operator("step")
+            case Message(text=text, source=source):
+                machine.messages.append(f"{source}: {text}")
+                machine.write_log("message", text=text, line=source.line)
+            case Pause(kind=PauseKind.OPTIONAL):
+                if self.optional_stop:
+                    await machine.wait_for_operator("M1")
+            case Pause(kind=kind):
+                await machine.wait_for_operator(kind.value)
+            case InputWait():
+                await self._wait_for_input(move)
+            case None:
+                pass
+            case other:
+                raise RefusedError(f"{other.source}: {type(other).__name__} is not possible on this machine")
+
+    async def _wait_for_input(self, move: InputWait) -> None:
+        """M66: wait for an input of the board, at rest; the program then sees 1, 0 or -1 after the timeout."""
+        if move.analog:
+            raise RefusedError(f"{move.source}: there are no analog inputs; use P")
+        began = self._level(move.input)
+        value = float(began)
+        if move.mode != _IMMEDIATE:
+            before, value = began, -1.0
+            try:
+                async with asyncio.timeout(move.timeout_s):
+                    while True:
+                        now = self._level(move.input)
+                        if _wanted(move.mode, before, now):
+                            value = float(now)
+                            break
+                        if self._machine.job is None or self._machine.state.task.value != "ON":
+                            raise StoppedError(f"{move.source}: stopped while waiting for input {move.input}")
+                        before = now
+                        await asyncio.sleep(_INPUT_POLL_S)
+            except TimeoutError:
+                pass
+        self._around.answer.value = value
+
+    def _level(self, number: int) -> bool:
+        status = self._machine.board_status
+        return status is not None and bool(status.inputs >> number & 1)
+
+
+def _lines_of(path: Path) -> list[str]:
+    """The lines of a program, for showing them; none of a huge one."""
+    if path.stat().st_size > _SHOWN_BYTES:
+        return []
+    return path.read_text("utf-8", errors="replace").splitlines()
+
+
+def _wanted(mode: int, before: bool, now: bool) -> bool:
+    """Whether an input that was `before` and is `now` is what M66 waits for."""
+    if mode == _RISE:
+        return now and not before
+    if mode == _FALL:
+        return before and not now
+    return now if mode == _HIGH else not now
+
+
+class _Runs:
+    """Cuts a stream of pieces at its marks; pieces are planned as they are taken."""
+
+    def __init__(self, pieces: Iterator[Piece]) -> None:
+        self._pieces = pieces
+        self._first: Piece | None = None
+        self.mark: Piece | None = None
+
+    def peek(self) -> bool:
+        """Look at the next piece: True when it is motion, False when it is a mark or the end."""
+        self.mark = None
+        piece = next(self._pieces, None)
+        if piece is None or piece.kind is PieceKind.MARK:
+            self.mark = piece
+            return False
+        self._first = piece
+        return True
+
+    def until_mark(self) -> Iterator[Piece]:
+        """The pieces up to the next mark, which is then in `mark`."""
+        first, self._first = self._first, None
+        for piece in chain([] if first is None else [first], self._pieces):
+            if piece.kind is PieceKind.MARK:
+                self.mark = piece
+                return
+            yield piece
