@@ -18,7 +18,7 @@ import numpy.typing as npt
 from rm501_protocol.board_config import INPUT_LINES, OUTPUT_LINES, InputId
 from rm501_sim_board.driver_boards import Board, BusActivity, DriverBoards
 from rm501_sim_board.errors import BenchConfigError
-from rm501_sim_board.geometry import JOINT_COUNT, Joint
+from rm501_sim_board.geometry import Joint
 from rm501_sim_board.hand import Hand
 from rm501_sim_board.ideal_plant import IdealPlant
 from rm501_sim_board.loads import ArmLoads
@@ -30,14 +30,12 @@ from rm501_sim_board.servo_plant import ServoPlant
 from rm501_sim_board.switches import Switch
 from rm501_sim_board.wiring import Terminal, Wire, Wiring, WordArray
 
-_SWITCH_INPUT: dict[Joint, InputId] = {
-    Joint.WAIST: InputId.SWITCH_WAIST,
-    Joint.SHOULDER: InputId.SWITCH_SHOULDER,
-    Joint.ELBOW: InputId.SWITCH_ELBOW,
-    Joint.PITCH: InputId.SWITCH_PITCH,
-    Joint.ROLL: InputId.SWITCH_ROLL,
-}
 BUTTONS: tuple[InputId, ...] = (InputId.ESTOP, InputId.HOLD, InputId.CYCLE_START)
+# Plain numbers: these are touched at every reading.
+_SWITCH_LINES = tuple(int(InputId[f"SWITCH_{joint.name}"]) for joint in Joint)
+_OVERFLOW_724, _OVERFLOW_732 = int(InputId.OVERFLOW_724), int(InputId.OVERFLOW_732)
+_INPUT_BITS = tuple(1 << line.bit for line in INPUT_LINES)
+_INVERTED_INPUTS = sum(1 << line.bit for line in INPUT_LINES if line.inverted)
 
 
 def standard_wiring() -> Wiring:
@@ -107,7 +105,7 @@ class Bench:
         self._watches: list[tuple[Joint, float, float, Callable[[], None]]] = []
         self._steady_until = 0
         self._touched = False
-        self._active: dict[InputId, bool] = {}
+        self._active = [False] * len(INPUT_LINES)
         self._word = 0
 
     # ------------------------------------------------------------ the microcontroller's side
@@ -216,7 +214,7 @@ class Bench:
             gripping=self.hand.gripping,
             payload_kg=self.hand.payload_kg + plant.disturbances.payload_kg,
             heartbeat_edges=self.heartbeat_edges,
-            inputs={line.name: active for line, active in self._active.items()},
+            inputs={line.name: active for line, active in zip(INPUT_LINES, self._active, strict=True)},
         )
 
     def settle(self, frame: int) -> None:
@@ -323,19 +321,22 @@ class Bench:
     def _sense(self, frame: int) -> None:
         self._touched = False
         active = self._active
-        angles = self.plant.joint_deg
-        for joint in range(JOINT_COUNT):
-            active[_SWITCH_INPUT[Joint(joint)]] = self.switches[joint].level(frame, angles[joint])
-        active[InputId.OVERFLOW_724] = self.plant.overflow_line(Board.ELBOW_WAIST)
-        active[InputId.OVERFLOW_732] = self.plant.overflow_line(Board.SHOULDER_WRIST)
+        plant = self.plant
+        for line, switch, angle in zip(_SWITCH_LINES, self.switches, plant.joint_deg, strict=True):
+            active[line] = switch.level(frame, angle)
+        if plant.overflowed:
+            active[_OVERFLOW_724] = plant.overflow_line(Board.ELBOW_WAIST)
+            active[_OVERFLOW_732] = plant.overflow_line(Board.SHOULDER_WRIST)
+        else:
+            active[_OVERFLOW_724] = active[_OVERFLOW_732] = False
         for button in BUTTONS:
             active[button] = button in self._pressed
-        active.update(self._forced)
-        word = 0
-        for line, level in active.items():
-            row = INPUT_LINES[line]
-            if level != row.inverted:
-                word |= 1 << row.bit
+        for line, level in self._forced.items():
+            active[line] = level
+        word = _INVERTED_INPUTS
+        for level, bit in zip(active, _INPUT_BITS, strict=True):
+            if level:
+                word ^= bit
         self._word = word
         self.recording.add_input(frame, word)
 

@@ -22,7 +22,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from rm501_sim_board.wiring import BoolArray, Terminal, Wiring, WordArray
+from rm501_sim_board.wiring import BoolArray, Terminal, Wire, Wiring, WordArray
 
 IntArray = npt.NDArray[np.int64]
 
@@ -155,6 +155,23 @@ class _PlainLine:
         self.terminal = terminal
         self.level = False
 
+    def changes_to(self, level: bool, first_period: int) -> LevelChanges:
+        """The line has `level` all over the block."""
+        if level == self.level:
+            return _NO_CHANGES
+        self.level = level
+        return LevelChanges(np.array([first_period], dtype=np.int64), np.array([level]))
+
+    def edges(self, wiring: Wiring, words: WordArray) -> int:
+        """How often the line changes in the block."""
+        wire = wiring.wires.get(self.terminal)
+        if wire is None:
+            return 0
+        bits = words & np.uint32(1 << wire.bit)
+        first = wire.level(int(words[0])) != self.level
+        self.level = wire.level(int(words[-1]))
+        return 0 if wire.stuck is not None else int(np.count_nonzero(bits[1:] != bits[:-1])) + first
+
     def changes(self, wiring: Wiring, words: WordArray, first_period: int) -> LevelChanges:
         wire = wiring.wires.get(self.terminal)
         if wire is None or not words.size:
@@ -172,11 +189,33 @@ class _PlainLine:
         return LevelChanges(where + first_period, levels[where])
 
 
-class DriverBoards:
-    """The digital side of the three driver boards: port words in, steps and line changes out."""
+@dataclass(frozen=True, slots=True)
+class _FramePattern:
+    """A frame whose strobe and select lines are known: in which period each register latches, and what then to read.
 
-    def __init__(self, wiring: Wiring) -> None:
-        self.wiring = wiring
+    Index 0..4 are the arm's registers, 5 and 6 the hand's direction and power.
+    """
+
+    columns: npt.NDArray[np.intp]
+    step_bits: WordArray
+    step_idle: WordArray
+    direction_wires: tuple[Wire, ...]
+    master_reset: bool
+    motor_power: bool
+
+
+class DriverBoards:
+    """The digital side of the three driver boards: port words in, steps and line changes out.
+
+    Whole frames in which the select, strobe and power lines repeat exactly (all frames of a healthy controller) are
+    read in one piece, everything else line by line; both ways give the same.
+    """
+
+    def __init__(self, wiring: Wiring, periods_per_frame: int = 8) -> None:
+        self.periods_per_frame = periods_per_frame
+        self._patterns: dict[tuple[bytes, tuple[bool, ...]], _FramePattern | None] = {}
+        self._wiring = wiring
+        self._still_mask = np.uint32(0)
         self._arm = tuple(_Register(spec) for spec in ARM_REGISTERS)
         self._hand_direction = _Register(HAND_DIRECTION_REGISTER)
         self._hand_power = _Register(HAND_POWER_REGISTER)
@@ -184,9 +223,37 @@ class DriverBoards:
         self._master_reset = _PlainLine(Terminal.MASTER_RESET)
         self._motor_power = _PlainLine(Terminal.MOTOR_POWER)
         self._heartbeat = _PlainLine(Terminal.HEARTBEAT)
+        self.wiring = wiring
+
+    @property
+    def wiring(self) -> Wiring:
+        """The cable in use."""
+        return self._wiring
+
+    @wiring.setter
+    def wiring(self, wiring: Wiring) -> None:
+        self._wiring = wiring
+        self._patterns.clear()
+        mask = 0
+        for terminal in _STILL_LINES:
+            wire = wiring.wires.get(terminal)
+            mask |= 0 if wire is None else 1 << wire.bit
+        self._still_mask = np.uint32(mask)
 
     def decode(self, words: WordArray, first_period: int) -> BusActivity:
         """Run the boards over `words`, one per base period, the first of which is `first_period`."""
+        per_frame = self.periods_per_frame
+        if len(words) % per_frame == 0 and first_period % per_frame == 0 and len(words):
+            frames = words.reshape(-1, per_frame)
+            still = frames & self._still_mask
+            if (still == still[0]).all():
+                pattern = self._pattern(still[0])
+                if pattern is not None:
+                    return self._decode_frames(pattern, words, frames, first_period)
+        return self._decode_lines(words, first_period)
+
+    def _decode_lines(self, words: WordArray, first_period: int) -> BusActivity:
+        """Line by line, whatever is on them."""
         strobed: dict[Terminal, tuple[WordArray, IntArray]] = {}
         edge_of_wire: dict[object, tuple[WordArray, IntArray, bool]] = {}
         for terminal in _STROBES:
@@ -204,6 +271,85 @@ class DriverBoards:
             master_reset=self._master_reset.changes(self.wiring, words, first_period),
             motor_power=self._motor_power.changes(self.wiring, words, first_period),
             heartbeat_edges=len(self._heartbeat.changes(self.wiring, words, first_period).periods),
+        )
+
+    def _pattern(self, still: WordArray) -> _FramePattern | None:
+        """What a frame with these still lines does, after the strobe levels before it; None: not in one piece."""
+        before = tuple(self._strobes.values())
+        key = (still.tobytes(), before)
+        if key not in self._patterns:
+            self._patterns[key] = self._make_pattern(still)
+        return self._patterns[key]
+
+    def _make_pattern(self, still: WordArray) -> _FramePattern | None:
+        wires = self._wiring.wires
+        registers = (*self._arm, self._hand_direction, self._hand_power)
+        columns: list[int] = []
+        for register in registers:
+            spec = register.spec
+            strobe = wires[spec.strobe].levels(still)
+            before = np.concatenate(([self._strobes[spec.strobe]], strobe[:-1]))
+            where = np.flatnonzero(strobe & ~before & wires[spec.select].levels(still))
+            # Every frame must begin as this one does, and each register must latch once.
+            if len(where) != 1 or bool(strobe[-1]) != self._strobes[spec.strobe]:
+                return None
+            columns.append(int(where[0]))
+        if columns[5] > columns[6]:
+            return None
+        step_wires = [wires[register.spec.step] for register in registers]
+        levels: list[bool] = []
+        for terminal in (Terminal.MASTER_RESET, Terminal.MOTOR_POWER):
+            wire = wires.get(terminal)
+            found = np.zeros(len(still), dtype=np.bool_) if wire is None else wire.levels(still)
+            if found.any() != found.all():
+                return None
+            levels.append(bool(found[0]))
+        if any(wire.stuck is not None for wire in step_wires):
+            return None
+        return _FramePattern(
+            columns=np.array(columns, dtype=np.intp),
+            step_bits=np.array([1 << wire.bit for wire in step_wires], dtype=np.uint32),
+            step_idle=np.array([1 << wire.bit if wire.inverted else 0 for wire in step_wires], dtype=np.uint32),
+            direction_wires=tuple(wires[register.spec.direction] for register in self._arm),
+            master_reset=levels[0],
+            motor_power=levels[1],
+        )
+
+    def _decode_frames(
+        self, pattern: _FramePattern, words: WordArray, frames: WordArray, first_period: int
+    ) -> BusActivity:
+        """All frames in one piece: a column of latched words per register."""
+        columns = pattern.columns
+        latched = frames[:, columns]
+        levels = (latched & pattern.step_bits) != pattern.step_idle
+        registers = (*self._arm, self._hand_direction, self._hand_power)
+        before = [register.step for register in registers]
+        rising = levels.copy()
+        rising[1:] &= ~levels[:-1]
+        rising[0] &= np.logical_not(before)
+        steps: list[Steps] = [_NO_STEPS] * CHANNEL_COUNT
+        last = latched[-1].tolist()
+        for index, active in enumerate(rising.any(axis=0).tolist()):
+            if active and index < 5:
+                where = np.flatnonzero(rising[:, index])
+                negative = pattern.direction_wires[index].levels(latched[where, index])
+                periods = where * self.periods_per_frame + (first_period + int(columns[index]))
+                steps[index] = Steps(periods, np.where(negative, -1, 1))
+            elif active and index == 6:
+                where = np.flatnonzero(rising[:, 6])
+                periods = where * self.periods_per_frame + (first_period + int(columns[6]))
+                steps[5] = Steps(periods, np.where(levels[where, 5], -1, 1))
+        for index, (register, level) in enumerate(zip(registers, levels[-1].tolist(), strict=True)):
+            register.step = level
+            if index < 5:
+                register.direction = pattern.direction_wires[index].level(last[index])
+        return BusActivity(
+            first_period=first_period,
+            end_period=first_period + len(words),
+            steps=tuple(steps),
+            master_reset=self._master_reset.changes_to(pattern.master_reset, first_period),
+            motor_power=self._motor_power.changes_to(pattern.motor_power, first_period),
+            heartbeat_edges=self._heartbeat.edges(self._wiring, words),
         )
 
     def _strobe_edges(
@@ -234,4 +380,18 @@ class DriverBoards:
         return Steps(pulses.periods, np.where(with_start[index + 1], -1, 1))
 
 
+_STILL_LINES = (
+    Terminal.STROBE_724,
+    Terminal.STROBE_732,
+    Terminal.STROBE_727,
+    Terminal.ELBOW_SELECT,
+    Terminal.WAIST_SELECT,
+    Terminal.SHOULDER_SELECT,
+    Terminal.LEFT_WRIST_SELECT,
+    Terminal.RIGHT_WRIST_SELECT,
+    Terminal.HAND_DIRECTION,
+    Terminal.HAND_POWER,
+    Terminal.MASTER_RESET,
+    Terminal.MOTOR_POWER,
+)
 _STROBES = (Terminal.STROBE_724, Terminal.STROBE_732, Terminal.STROBE_727)

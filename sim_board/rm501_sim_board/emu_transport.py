@@ -17,6 +17,7 @@ from urllib.parse import parse_qsl, urlsplit
 from weakref import WeakKeyDictionary
 
 from rm501_protocol.transport import Receiver
+from rm501_sim_board.bench import Truth
 from rm501_sim_board.emulator import Emulator, EmulatorOptions
 from rm501_sim_board.errors import BenchConfigError, SimBoardError
 from rm501_sim_board.fault_injection import FaultInjector, check_fault
@@ -91,6 +92,10 @@ class EmuTransport:
     def faults(self) -> FaultInjector:
         """Makes faults happen."""
         return self.running.faults
+
+    def truth(self) -> Truth:
+        """How things really stand at this moment of the loop's time."""
+        return self.running.truth()
 
     @property
     def packets(self) -> bool:

@@ -18,7 +18,7 @@ from rm501_sim_board.randomness import stream
 
 DEFAULT_BAUD = 250_000
 # Unasked messages (status, triggers, faults) leave the board at the next tick.
-DEFAULT_TICK_S = 0.010
+DEFAULT_TICK_S = 0.020
 # After bytes have reached the board its answer is fetched this many frames later.
 _ANSWER_FRAMES = 2
 

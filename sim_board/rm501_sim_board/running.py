@@ -6,6 +6,7 @@ import asyncio
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rm501_sim_board.bench import Truth
 from rm501_sim_board.emulator import Emulator, EmulatorOptions
 from rm501_sim_board.fault_injection import FaultInjector
 from rm501_sim_board.fault_spec import FaultSpec
@@ -45,6 +46,11 @@ class RunningBoard:
     def emulator(self) -> Emulator:
         """The controller and its bench."""
         return self.board.emulator
+
+    def truth(self) -> Truth:
+        """How things really stand at this moment of the loop's time."""
+        self.board.run_to_now()
+        return self.emulator.truth()
 
     def close(self) -> list[str]:
         """Bring everything up to now, stop, write the files asked for; returns what was written, for a person."""

@@ -291,7 +291,7 @@ class ServoPlant:
             gravity = self._gravity_nm[motor]
             held = motor in stalled or self._propped
             links, encoders = self._link_log[motor], self._encoder_log[motor]
-            if part[0] == part[-1] and axis.at_rest(part[0], gravity, powered, held) and len(set(part)) == 1:
+            if part[0] == part[-1] and len(set(part)) == 1 and axis.at_rest(part[0], gravity, powered, held):
                 link = axis.rest(gravity, self._factor[motor])
                 links.extend([link] * count)
                 encoders.extend([axis.encoder_steps()] * count)

@@ -45,7 +45,7 @@ def test_a_move_arrives_and_its_waveform_is_clean(firmware) -> None:
         client, transport = await _ready(f"emu://?firmware={firmware}")
         await _move(client, (0, 800, 2.0), (4, -300, 2.0))
         emulator = transport.emulator
-        truth = emulator.truth()
+        truth = transport.truth()
         _, words = emulator.recording.words()
         judge = decode(words)
         assert [judge.counts[m] for m in MOTORS] == [800, 0, 0, 0, -300]
@@ -66,7 +66,7 @@ def _fingerprints(url: str) -> tuple[str, str, str]:
         client, transport = await _ready(url)
         await _move(client, (1, -500, 1.5), (2, 400, 1.5), (0, 300, 1.0))
         emulator = transport.emulator
-        emulator.truth()
+        transport.truth()
         out = (
             emulator.recording.pin_hash,
             truth_trace(emulator.bench).fingerprint(),
@@ -119,7 +119,7 @@ def test_a_stalled_motor_overflows_its_counter_and_only_a_command_resets_it(pres
         await asyncio.sleep(0.7)
         await _move(client, (2, 600, 2.0))
         bench = transport.emulator.bench
-        truth = transport.emulator.truth()
+        truth = transport.truth()
         assert truth.overflowed_motors == (2,)
         assert truth.inputs["OVERFLOW_724"]
         assert not truth.inputs["OVERFLOW_732"]
@@ -133,11 +133,11 @@ def test_a_stalled_motor_overflows_its_counter_and_only_a_command_resets_it(pres
         # Time and traffic change nothing.
         transport.faults.clear("stall")
         await asyncio.sleep(2.0)
-        assert transport.emulator.truth().overflowed_motors == (2,)
+        assert transport.truth().overflowed_motors == (2,)
         assert (await client.status()).state is BoardState.FAULT
         client.send(Reset(FaultCode.OVERFLOW, master_reset=True))
         await asyncio.sleep(0.5)
-        truth = transport.emulator.truth()
+        truth = transport.truth()
         assert truth.overflowed_motors == ()
         assert (await client.status()).state is not BoardState.FAULT
         assert not (await client.status()).trusted_mask & 1 << 2
@@ -152,7 +152,7 @@ def test_a_payload_too_heavy_overflows_board_732() -> None:
     async def main() -> None:
         client, transport = await _ready("emu://?preset=real&fault=payload:kg=14@0.5s")
         await _move(client, (1, 700, 3.0))  # shoulder down, arm out
-        truth = transport.emulator.truth()
+        truth = transport.truth()
         assert 1 in truth.overflowed_motors
         assert client.of(FaultReport)[0].fault is FaultCode.OVERFLOW
         await transport.aclose()
@@ -163,10 +163,10 @@ def test_a_payload_too_heavy_overflows_board_732() -> None:
 def test_without_power_the_arm_sinks_and_power_brings_it_no_position() -> None:
     async def main() -> None:
         client, transport = await _ready("emu://?preset=real")
-        before = transport.emulator.truth()
+        before = transport.truth()
         client.send(SetPower(False))
         await asyncio.sleep(4.0)
-        after = transport.emulator.truth()
+        after = transport.truth()
         assert not after.powered
         assert after.joint_deg[1] < before.joint_deg[1] - 2.0
         assert after.commanded_steps == before.commanded_steps
@@ -179,8 +179,7 @@ def test_the_emergency_stop_cuts_the_power_without_software() -> None:
     async def main() -> None:
         client, transport = await _ready("emu://?preset=real")
         bench = transport.emulator.bench
-        assert transport.emulator.truth().powered
-        transport.board.run_to_now()
+        assert transport.truth().powered
         bench.press(InputId.ESTOP)
         transport.emulator.advance_to(transport.emulator.frame + 1)
         assert not transport.emulator.truth().powered
@@ -200,10 +199,10 @@ def test_power_that_comes_back_finds_a_board_with_another_identity() -> None:
         await asyncio.sleep(1.5)
         emulator = transport.emulator
         assert emulator.resets == 1
-        counts = emulator.truth().commanded_steps
+        counts = transport.truth().commanded_steps
         await asyncio.sleep(1.0)
-        assert emulator.truth().commanded_steps == counts  # nothing of the old queue runs on
-        assert not emulator.truth().powered
+        assert transport.truth().commanded_steps == counts  # nothing of the old queue runs on
+        assert not transport.truth().powered
         again = BoardClient(transport)
         await again.open(nonce=77)
         assert again.link.identify is not None
@@ -244,8 +243,8 @@ def test_several_boards_run_side_by_side() -> None:
         one.start()
         two.start()
         await asyncio.sleep(1.5)
-        assert first.emulator.truth().commanded_steps[0] == 100
-        assert second.emulator.truth().commanded_steps[0] == -100
+        assert first.truth().commanded_steps[0] == 100
+        assert second.truth().commanded_steps[0] == -100
         await first.aclose()
         await second.aclose()
         shut_down("one")
