@@ -11,6 +11,7 @@ from .errors import DecodeError
 from .header import FLAG_FROM_BOARD, FLAG_OPEN, FLAG_SEQUENCED, Header, ahead
 from .link_core import LinkCore
 from .link_events import Event, Received, SessionOpened, StopKind, StopReceived, Undecodable
+from .link_states import BOARD_TRANSITIONS, BoardInput, BoardSessionState
 from .messages import ClockQuery, ClockReply, Hello, Identify, Kill, Segment, Stop, StopReply
 from .transport import Codec
 
@@ -44,6 +45,7 @@ class BoardLink(LinkCore):
         self.identity = replace(identity, boot_id=boot_id & 0xFFFFFFFF)
         self.free_slots = 0
         self._epoch = boot_id & 0xFFFF
+        self._state = BoardSessionState.CLOSED
         self._nonces: deque[int] = deque(maxlen=_NONCE_MEMORY)
         self._stops: deque[StopReceived] = deque()
         self._executed_stop: int | None = None
@@ -135,7 +137,8 @@ class BoardLink(LinkCore):
         self._window.drop_all()
         self._restart_channels()
         self._epoch = (self._epoch + 1) & 0xFFFF
-        self._open = True
+        self._state = BOARD_TRANSITIONS[self._state, BoardInput.NEW_HELLO]
+        self._open = self._state is BoardSessionState.OPEN
         self._heard(now_us)
         self._put_event(SessionOpened(self._epoch, hello=hello))
         self._put_unsequenced(replace(self.identity, nonce=hello.nonce))

@@ -192,7 +192,7 @@ class ClockEstimator:
         return self.extend_ticks(ticks)
 
     def _is_suspect(self, sample: tuple[int, int, int]) -> bool:
-        """A jump makes one way too quick and the other too slow by the same amount; a few of a kind in a row are one."""
+        """A jump makes one way too quick and the other too slow by the same amount; a few of a kind are one."""
         fit = self._fit
         if fit is None or len(self._samples) < _SETTLED_SAMPLES:
             return False

@@ -22,6 +22,7 @@ from .link_events import (
     StopAcknowledged,
     StopKind,
 )
+from .link_states import HOST_TRANSITIONS, STOP_TRANSITIONS, HostInput, HostState, StopInput, StopState
 from .messages import ClockQuery, ClockReply, Hello, Identify, Kill, Stop, StopReply
 from .send_window import PENDING_CAP
 from .transport import Codec
@@ -60,6 +61,8 @@ class HostLink(LinkCore):
         """The board's identity in this session."""
         self.free_slots = 0
         """Free segment slots of the board when it last said so."""
+        self._state = HostState.CLOSED
+        self._stop_state = StopState.NONE
         self._nonce: int | None = None
         self._hello_due_us: int | None = None
         self._old_epochs: deque[int] = deque(maxlen=_EPOCH_MEMORY)
@@ -77,6 +80,7 @@ class HostLink(LinkCore):
         seen acknowledged.
         """
         dropped = self._end_session()
+        self._enter(HostInput.CONNECT)
         self._nonce = nonce & 0xFFFFFFFF
         self._hello_due_us = now_us
         return dropped
@@ -107,15 +111,21 @@ class HostLink(LinkCore):
         if self._stop is not None and self._stop[0] is StopKind.KILL:
             kind = StopKind.KILL
         newest = self._generation if self._stop is None else self._stop[1]
+        self._stop_state = STOP_TRANSITIONS[self._stop_state, StopInput.ASKED]
         self._stop = (kind, (newest + 1) & 0xFF)
         self._stop_due_us = now_us
         self._stop_fresh = True
         return self._window.drop_all()
 
     @property
+    def state(self) -> HostState:
+        """State of the session."""
+        return self._state
+
+    @property
     def stopping(self) -> bool:
         """Whether a stop is under way that the board has not acknowledged."""
-        return self._stop is not None
+        return self._stop_state is StopState.ASKED
 
     @property
     def segment_credit(self) -> int:
@@ -149,7 +159,7 @@ class HostLink(LinkCore):
     # ------------------------------------------------------------------------------------- packets
 
     def _may_send_sequenced(self) -> bool:
-        return self._open and self._stop is None
+        return self._open and self._stop_state is StopState.NONE
 
     def _stamped(self, message: Message, now_us: int) -> Message:
         if not isinstance(message, ClockQuery):
@@ -219,7 +229,7 @@ class HostLink(LinkCore):
             self._old_epochs.remove(header.epoch)
         self._generation = header.generation
         self._window.credit = self.free_slots = header.free_slots
-        self._open = True
+        self._enter(HostInput.IDENTIFIED)
         self._silent = False
         self.identify = identify
         self._clock_due_us = now_us
@@ -233,6 +243,7 @@ class HostLink(LinkCore):
             return
         restarted = not header.flags & FLAG_OPEN
         dropped = self._end_session()
+        self._enter(HostInput.FOREIGN)
         reason = LossReason.BOARD_RESTARTED if restarted else LossReason.EPOCH_CHANGED
         self._put_event(SessionLost(reason, dropped))
 
@@ -243,9 +254,11 @@ class HostLink(LinkCore):
         if self._open and header.epoch != self._epoch:
             return
         if not reply.executed:  # the board had gone further by itself: ask again, beyond that
+            self._stop_state = STOP_TRANSITIONS[self._stop_state, StopInput.NOT_EXECUTED]
             self._stop = (self._stop[0], (reply.generation + 1) & 0xFF)
             self._stop_due_us = 0
             return
+        self._stop_state = STOP_TRANSITIONS[self._stop_state, StopInput.EXECUTED]
         kind, self._stop = self._stop[0], None
         self._generation = reply.generation
         self._window.restart()
@@ -259,6 +272,10 @@ class HostLink(LinkCore):
             line_in_us = self._line_us(FRAME_OVERHEAD + len(payload))
             self.clock.add(sent_us, reply.received_ticks, reply.sent_ticks, now_us, self._query_line_us, line_in_us)
 
+    def _enter(self, happened: HostInput) -> None:
+        self._state = HOST_TRANSITIONS[self._state, happened]
+        self._open = self._state is HostState.OPEN
+
     def _remember_epoch(self, epoch: int) -> None:
         if epoch not in self._old_epochs:
             self._old_epochs.append(epoch)
@@ -266,7 +283,6 @@ class HostLink(LinkCore):
     def _end_session(self) -> tuple[Message, ...]:
         if self._open:
             self._remember_epoch(self._epoch)
-        self._open = False
         self._nonce = None
         self._hello_due_us = None
         self._clock_due_us = None
