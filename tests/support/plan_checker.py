@@ -136,6 +136,8 @@ def path_deviation_mm(tcp_mm: Array, path_mm: Array) -> float:
 
     keep = np.concatenate((np.array([True]), np.linalg.norm(np.diff(path_mm, axis=0), axis=1) > 1e-12))
     path = path_mm[keep]
+    if len(path) == 1:
+        return float(np.linalg.norm(tcp_mm - path, axis=1).max())
     _, near = cKDTree(path).query(tcp_mm, k=min(3, len(path)))
     near = np.atleast_2d(near.T).T
     best = np.full(len(tcp_mm), np.inf)

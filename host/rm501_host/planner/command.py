@@ -24,15 +24,17 @@ def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str
     from rm501_host.kinematics import Arm
     from rm501_host.planner.plan import Plan
     from rm501_host.planner.planner import Planner
-    from rm501_host.planner.programs import program_moves, start_joints
+    from rm501_host.planner.programs import start_joints
+    from rm501_host.program import read_moves
     from rm501_host.segmenter import Segmenter, stop_horizon
     from rm501_host.segmenter.fit import to_q48
 
     config = ctx.obj.config
     arm = Arm.from_config(config)
     start_deg = start_joints(start, arm)
-    with program_moves(program, arm, start_deg) as moves:
-        plan = Plan(arm, config, Planner(arm, config, start_deg).plan(moves))
+    planner = Planner(arm, config, start_deg)
+    moves = read_moves(program, arm, lambda: planner.q_deg.tolist(), lambda text: click.echo(text, err=True))
+    plan = Plan(arm, config, planner.plan(moves))
     positions = [*map(to_q48, arm.motors_from_joints(start_deg).tolist()), 0]
     segments = list(Segmenter(config, positions, 0).segments(plan.pieces))
     horizon = stop_horizon(config, segments)

@@ -78,7 +78,7 @@ class CornerMaker:
         if mode is not PathMode.BLEND or tolerance_mm <= 0.0:
             return None
         corner = None
-        moving = same and first.space is Space.TASK and end_slope[:3].any() and start_slope[:3].any()
+        moving = same and first.space is Space.TASK and _is_travel(end_slope) and _is_travel(start_slope)
         theta = pi
         if moving:
             theta = _angle(end_slope[:3], start_slope[:3])
@@ -165,6 +165,11 @@ class CornerMaker:
     def _duration(self, elements: list[Element]) -> float:
         grid = self._judge.build(ElementTable(elements))
         return law_duration(grid.lines.length, fastest_speeds(grid.lines))
+
+
+def _is_travel(slope: Array) -> bool:
+    """Whether s is the tool's way there, not an angle."""
+    return abs(float(slope[:3] @ slope[:3]) - 1.0) < 1e-6
 
 
 def _angle(a: Array, b: Array) -> float:

@@ -104,6 +104,10 @@ class GridBuilder:
 
     def build(self, table: ElementTable) -> Grid:
         """The grid over all elements of `table`, in order; raises PlanError where the arm cannot follow."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore", under="ignore"):
+            return self._build(table)
+
+    def _build(self, table: ElementTable) -> Grid:
         first = self._first_cut(table)
         element, start, stop = first
         middle = 0.5 * (start + stop)

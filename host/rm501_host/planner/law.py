@@ -89,12 +89,16 @@ class PathLaw:
         result: NDArray[np.int64] = numbers[self.element[k]]
         return result
 
-    def kinks_s(self) -> Array:
-        """Times at which the path acceleration or the element changes: where the joint accelerations may jump."""
+    def kinks_s(self) -> tuple[Array, Array]:
+        """Times at which the joint accelerations may jump, and for each -1 where the path acceleration is larger
+        before it, 1 where it is larger after, 0 where that is not known (another element begins).
+        """
         spans = np.diff(self.time_s)
-        u = np.diff(self.speed) / spans
-        scale = np.abs(u).max(initial=0.0)
-        jump = np.abs(np.diff(u)) > 0.05 * scale
+        u = np.abs(np.diff(self.speed) / spans)
+        signed = np.diff(self.speed) / spans
+        scale = u.max(initial=0.0)
+        jump = np.abs(np.diff(signed)) > 0.05 * scale
         change = np.diff(self.element) != 0
-        kinks: Array = self.time_s[1:-1][jump | change]
-        return kinks
+        kinks = jump | change
+        side = np.where(change, 0.0, np.sign(u[1:] - u[:-1]))
+        return self.time_s[1:-1][kinks], side[kinks]

@@ -127,6 +127,7 @@ class PathBuilder:
         end = self._task_of(target, source)
         length = float(np.linalg.norm(end[:3] - self.task[:3]))
         if length < SHORTEST:
+            end[:3] = self.task[:3]
             length = float(np.linalg.norm(end[3:] - self.task[3:]))
             if length < SHORTEST:
                 return None

@@ -73,8 +73,9 @@ class Law(Protocol):
         """Source line at the times, (n,)."""
         ...
 
-    def kinks_s(self) -> Array:
-        """Times at which the accelerations may jump."""
+    def kinks_s(self) -> tuple[Array, Array]:
+        """Times (n,) at which the accelerations may jump, and on which side they are larger: -1 before, 1 after, 0
+        unknown."""
         ...
 
 

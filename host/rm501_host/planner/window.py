@@ -24,6 +24,12 @@ from .timelaw import IntervalLines, backward_pass, forward_pass, law_duration
 MOST_INTERVALS = 12_000
 """Bound of the window; the spiral of 5000 lines of 0.2 mm at 100 mm/s needs about 1000."""
 
+SHORT_FRAMES = 400
+"""0.13 s: phases of acceleration from or to rest that are shorter keep a reserve of acceleration."""
+RESERVE_FRAMES = 3.0
+"""Reserve of a phase of n frames: this over n of its acceleration, so half of this in frames of time."""
+LEAST_SHARE = 0.6
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
@@ -48,6 +54,7 @@ class Window:
         self._grid: Grid | None = None
         self._first_x = 0.0
         self._at_rest = True
+        self._is_softened = False
 
     @property
     def intervals(self) -> int:
@@ -85,6 +92,14 @@ class Window:
             return None
         count = len(grid)
         lines = grid.lines
+        if self._at_rest and not self._is_softened:
+            softer = _softened(
+                lines, forward_pass(lines, 0.0, backward_pass(lines, 0.0)), self._frame_s, head=True, tail=False
+            )
+            self._is_softened = True
+            if softer is not None:
+                grid = self._grid = replace(grid, lines=softer)
+                lines = softer
         careful = backward_pass(lines, 0.0)
         hopeful = backward_pass(lines, float(lines.y_cap[-1]))
         fixed = np.flatnonzero(hopeful - careful > 1e-12 * (hopeful + 1e-30))
@@ -110,6 +125,13 @@ class Window:
             return None
         speeds = forward_pass(grid.lines, self._first_x, backward_pass(grid.lines, 0.0))
         speeds[-1] = 0.0
+        softer = _softened(grid.lines, speeds, self._frame_s, head=self._at_rest and not self._is_softened, tail=True)
+        if softer is not None:
+            reach = backward_pass(softer, 0.0)
+            if reach[0] >= self._first_x:
+                grid = replace(grid, lines=softer)
+                speeds = forward_pass(softer, self._first_x, reach)
+                speeds[-1] = 0.0
         duration = law_duration(grid.lines.length, speeds)
         frames = ceil((self._committed_s + duration) / self._frame_s - 1e-7)
         wanted = frames * self._frame_s - self._committed_s
@@ -137,6 +159,7 @@ class Window:
         if at_end:
             self._grid, self._elements, self._first_x, self._at_rest = None, [], 0.0, True
             self._committed_s = 0.0
+            self._is_softened = False
             return stretch
         first: Indices = grid.element[count:]
         low = int(first[0])
@@ -145,6 +168,43 @@ class Window:
         self._first_x = float(speeds[count])
         self._at_rest = False
         return stretch
+
+
+def _softened(lines: IntervalLines, speeds: Array, frame_s: float, *, head: bool, tail: bool) -> IntervalLines | None:
+    """The limits, lower over a short first and a short last phase between rest and motion; None for no change.
+
+    Phases begin and end between frames, segments only on frames: over a phase of n frames that can add 2/n to the
+    accelerations of the segments, which must stay below what the board refuses.
+    """
+    roots = np.sqrt(speeds)
+    durations = 2.0 * lines.length / (roots[:-1] + roots[1:])
+    u = np.diff(roots) / durations
+    slight = 0.05 * np.abs(u).max(initial=0.0)
+    rising, falling = u > slight, u < -slight
+    scale = np.ones(len(u))
+    times = np.cumsum(durations)
+    if head:
+        last = max(0, int(np.argmin(rising)) - 1)
+        frames = times[last] / frame_s
+        if frames < SHORT_FRAMES:
+            scale[: last + 2] = max(LEAST_SHARE, 1.0 - RESERVE_FRAMES / frames)
+    if tail:
+        first = min(len(u) - 1, len(u) - int(np.argmin(falling[::-1])))
+        frames = (times[-1] - (times[first - 1] if first else 0.0)) / frame_s
+        if frames < SHORT_FRAMES:
+            scale[max(0, first - 1) :] = np.minimum(
+                scale[max(0, first - 1) :], max(LEAST_SHARE, 1.0 - RESERVE_FRAMES / frames)
+            )
+    if float(scale.min()) == 1.0:
+        return None
+    column = scale[:, None]
+    return replace(
+        lines,
+        alpha=lines.alpha * column,
+        gamma=lines.gamma * column,
+        peak_x=lines.peak_x * scale,
+        peak_y=lines.peak_y * scale,
+    )
 
 
 def _joined(first: IntervalLines, second: IntervalLines) -> IntervalLines:

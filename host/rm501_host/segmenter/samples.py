@@ -40,12 +40,16 @@ class Samples:
         end = round(last / self._frame_s) if piece.ends_at_rest else int(np.ceil(last / self._frame_s - 1e-6)) - 1
         known = int(self.frames[-1]) if len(self.frames) else -1
         grid = np.arange(-(-begin // SAMPLE_FRAMES) * SAMPLE_FRAMES, end + 1, SAMPLE_FRAMES, dtype=np.int64)
-        kinks = np.rint((piece.law.kinks_s() + first) / self._frame_s).astype(np.int64)
+        times, side = piece.law.kinks_s()
+        places = (times + first) / self._frame_s
+        # to a whole frame on the side where the acceleration is smaller: the stronger phase stays pure
+        kinks = np.where(side < 0, np.floor(places + 1e-6), np.where(side > 0, np.ceil(places - 1e-6), np.rint(places)))
+        kinks = kinks.astype(np.int64)
         kinks = kinks[(kinks > max(begin, known)) & (kinks < end)]
         edges = [begin] if not len(self.frames) else []
         if piece.ends_at_rest:
             edges.append(end)
-        fixed = np.unique(np.concatenate((_spread(kinks), np.array(edges, dtype=np.int64))))
+        fixed = np.unique(np.concatenate((kinks, np.array(edges, dtype=np.int64))))
         frames = np.unique(np.concatenate((_away_from(grid, fixed), fixed)))
         frames = frames[(frames > known) & (frames <= end)]
         if len(frames):
@@ -66,15 +70,6 @@ class Samples:
         self.steps = self.steps[index:]
         self.speeds = self.speeds[index:]
         self.is_kink = self.is_kink[index:]
-
-
-def _spread(frames: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rising frames without those that follow another within half a sample."""
-    if len(frames) < 2:
-        return frames
-    frames = np.unique(frames)
-    kept: NDArray[np.int64] = frames[np.concatenate((np.array([True]), np.diff(frames) >= SAMPLE_FRAMES // 2))]
-    return kept
 
 
 def _away_from(frames: NDArray[np.int64], fixed: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -37,6 +37,8 @@ RATIO = 1.018
 """Largest acceleration of a segment's polynomial against the planning limits; the board refuses above 1.02."""
 MOST_JERK = 7.4e-6
 """Largest j in steps/frame^3 that fits the wire's 32 bits, with some room."""
+ROOM_FRAMES = 64
+"""A segment that has to come to a kink between two frames needs about this length (its j is limited)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,22 +203,52 @@ class Segmenter:
                     low, best = middle, fitted
         if best is None:
             low, best = self._shortest(samples, at)
+        low, best = self._clear_of_kinks(samples, at, low, best)
         self._guess = max(1, low - at)
         return low, *best
+
+    def _clear_of_kinks(
+        self, samples: Samples, at: int, end: int, best: tuple[Cubic, tuple[MotorTerm, ...], float]
+    ) -> tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]]:
+        """An end shortly before a kink leaves too little room to come to it smoothly: end at a kink before, or well
+        before that one.
+        """
+        frames, kinks = samples.frames, samples.is_kink
+        ahead = np.flatnonzero(kinks[end + 1 : end + 1 + ROOM_FRAMES])
+        if kinks[end] or not len(ahead):
+            return end, best
+        room = frames[end + 1 + int(ahead[0])] - ROOM_FRAMES
+        if frames[end] <= room:
+            return end, best
+        passed = np.flatnonzero(kinks[at + 1 : end])
+        choices = [at + 1 + int(passed[-1])] if len(passed) else []
+        choices.append(int(np.searchsorted(frames, room, side="right")) - 1)
+        for choice in choices:
+            fitted = self._try(samples, at, choice) if choice > at else None
+            if fitted is not None:
+                return choice, fitted
+        return end, best
 
     def _shortest(self, samples: Samples, at: int) -> tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]]:
         """Where the longest lengths tried do not fit: a short one, whose j fits 32 bits (a small difference of speeds
         over few frames takes a large j), or else a parabola over the shortest.
         """
         last = len(samples.frames) - 1
-        for length in (12, 8, 16, 6, 24, 4, 32, 3, 2, 1):
+        for length in (12, 24, 8, 48, 16, 32, 96, 6, 64, 4, 128, 3, 2, 1):
             fitted = self._try(samples, at, at + length) if at + length <= last else None
             if fitted is not None:
                 return at + length, fitted
-        for end in range(at + 1, min(at + 9, last)):
-            held = self._held_back(samples, at, end)
+        nearest: tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]] | None = None
+        least = np.inf
+        for length in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48):
+            held = self._held_back(samples, at, at + length) if at + length < last else None
             if held is not None:
-                return end, held
+                frames = int(samples.frames[at + length] - samples.frames[at])
+                off = float(np.abs(held[0].end_speed(frames) - samples.speeds[at + length]).max())
+                if off < least:
+                    least, nearest = off, (at + length, held)
+        if nearest is not None:
+            return nearest
         for end in range(at + 1, min(at + 5, last + 1)):
             fitted = self._try(samples, at, end, forced=True)
             if fitted is not None:
