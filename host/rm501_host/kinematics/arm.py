@@ -83,11 +83,21 @@ class Arm:
     # -- forward ----------------------------------------------------------------------------------------------------
 
     def fk(self, q_deg: JointsLike) -> Pose:
-        """The tool's pose for joints (5,) deg (thesis 2.1). Raises KinematicsError for what is not five numbers."""
+        """The tool's pose for joints (5,) deg (thesis 2.1). Raises KinematicsError for what is not five numbers.
+
+        >>> pose = arm.fk((0, 0, 0, 90, 0))  # stretched out, tool level
+        >>> pose.xyz_mm.round(9).tolist(), pose.pitch_deg
+        ([465.0, 0.0, 230.0], 90.0)
+        """
         return forward.pose(self.geometry, q_deg)
 
     def fk_batch(self, q_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Positions (n, 3) mm and rotations (n, 3, 3) of the tool for joints (n, 5) deg."""
+        """Positions (n, 3) mm and rotations (n, 3, 3) of the tool for joints (n, 5) deg.
+
+        >>> positions, rotations = arm.fk_batch(np.zeros((4, 5)))
+        >>> positions.shape, rotations.shape
+        ((4, 3), (4, 3, 3))
+        """
         return forward.positions_and_rotations(self.geometry, q_deg)
 
     def frames(self, q_deg: JointsLike) -> FloatArray:
@@ -95,7 +105,11 @@ class Arm:
         return forward.frames(self.geometry, q_deg)
 
     def branch_of(self, q_deg: JointsLike) -> Branch:
-        """The branch that joints (5,) deg lie on: front where r >= 0, up where q3 <= 0 (mod 360)."""
+        """The branch that joints (5,) deg lie on: front where r >= 0, up where q3 <= 0 (mod 360).
+
+        >>> arm.branch_of((0, 45, -90, 45, 0))
+        <Branch.FRONT_UP: 0>
+        """
         q = forward.joints_of(q_deg)
         up = (q[2] + 180.0) % 360.0 - 180.0 <= 0.0
         front = forward.radius_mm(self.geometry, q) >= 0.0
@@ -111,6 +125,14 @@ class Arm:
         `seed_deg` (5,), the home position where it is None; distance as in `joint_distance`. The seed also gives
         the waist where the tip is on the waist axis. Raises KinematicsError for numbers that are not finite.
         Equation: thesis 2.2, corrected; see `rm501_host.kinematics.inverse`.
+
+        >>> result = arm.ik((300, 0, 200), 0, 0)
+        >>> [round(angle, 4) for angle in result.best.q_deg]
+        [0.0, 39.427, -69.304, 29.877, 0.0]
+        >>> arm.ik((600, 0, 200), 0, 0).reason
+        'the wrist centre is 233.5 mm beyond the stretched arm (a2 + a3)'
+        >>> str(arm.ik((-300, 0, 200), 0, 0).shortfalls[0])
+        'waist would be at 180.0000 deg, 30 deg above its maximum 150'
         """
         x, y, z = xyz_mm.tolist() if isinstance(xyz_mm, np.ndarray) else xyz_mm
         seed = None if seed_deg is None else forward.joints_of(seed_deg)
@@ -129,6 +151,10 @@ class Arm:
         `ok` (n,) says reachable and inside the limits. A row that cannot be reached is NaN; one outside the limits
         has its angles and ok False. Along a path inside the limits no angle jumps. `waist_deg` is q1 where the tip
         is on the waist axis. Raises KinematicsError for other shapes.
+
+        >>> q, ok = arm.ik_batch(np.array([[300, 0, 200], [600, 0, 200]]), 0.0, 0.0)
+        >>> q.round(4).tolist()[0], ok.tolist()
+        ([0.0, 39.427, -69.304, 29.877, 0.0], [True, False])
         """
         pitch, roll = np.asarray(pitch_deg, dtype=np.float64), np.asarray(roll_deg, dtype=np.float64)
         return batch.solve_rows(self.geometry, xyz_mm, pitch, roll, branch, waist_deg)
@@ -140,7 +166,11 @@ class Arm:
     # -- rates ------------------------------------------------------------------------------------------------------
 
     def jacobian(self, q_deg: JointsLike) -> FloatArray:
-        """Geometric Jacobian (6, 5) at (5,) deg: linear mm/rad, angular rad/rad (thesis 3.1.1, corrected)."""
+        """Geometric Jacobian (6, 5) at (5,) deg: linear mm/rad, angular rad/rad (thesis 3.1.1, corrected).
+
+        >>> arm.jacobian((0, 0, 0, 90, 0))[:3].round(9).tolist()[2]  # what lifts the stretched arm
+        [0.0, 465.0, 245.0, 95.0, -0.0]
+        """
         return jacobian.geometric(self.geometry, q_deg)
 
     def jacobian_batch(self, q_deg: FloatArray) -> FloatArray:
@@ -148,7 +178,11 @@ class Arm:
         return jacobian.geometric_rows(self.geometry, q_deg)
 
     def task_jacobian(self, q_deg: JointsLike) -> FloatArray:
-        """Task Jacobian (5, 5) at (5,) deg: rows x, y, z in mm/rad, pitch, roll in rad/rad."""
+        """Task Jacobian (5, 5) at (5,) deg: rows x, y, z in mm/rad, pitch, roll in rad/rad.
+
+        >>> arm.task_jacobian((0, 0, 0, 90, 0))[3].tolist()
+        [0.0, 1.0, 1.0, 1.0, 0.0]
+        """
         return jacobian.task(self.geometry, q_deg)
 
     def task_jacobian_batch(self, q_deg: FloatArray) -> FloatArray:
@@ -190,11 +224,18 @@ class Arm:
         """sqrt(det(J^T J)) at (5,) deg, linear rows divided by `length_mm` (1: mm and rad as they are).
 
         Closed form, see `singularities`. Raises KinematicsError for a length that is not above 0.
+
+        >>> arm.manipulability((0, 40, 0, 50, 0)), round(arm.manipulability((0, 40, -60, 60, 0), 220), 4)
+        (0.0, 1.0645)
         """
         return singularities.manipulability(self.geometry, q_deg, length_mm)
 
     def singularities(self, q_deg: JointsLike, margin: float = 0.05) -> tuple[Singularity, ...]:
-        """The singularities within `margin` (of `measure`, 0..1) of (5,) deg, nearest first."""
+        """The singularities within `margin` (of `measure`, 0..1) of (5,) deg, nearest first.
+
+        >>> [(s.kind.value, round(s.distance, 6), s.unit) for s in arm.singularities((0, 40, -0.5, 50, 0))]
+        [('elbow', 0.5, 'deg')]
+        """
         return singularities.within(self.geometry, q_deg, margin)
 
     def ellipsoid(self, q_deg: JointsLike, length_mm: float | None = None) -> Ellipsoid:
@@ -205,7 +246,11 @@ class Arm:
 
     def motors_from_joints(self, q_deg: JointsLike) -> FloatArray:
         """Motor positions in steps, floating, waist, shoulder, elbow, right wrist, left wrist: (5,) or (n, 5) for
-        joints of the same shape in deg; zero where q = 0."""
+        joints of the same shape in deg; zero where q = 0.
+
+        >>> arm.motors_from_joints((1, 1, 0, 0, 3)).round(5).tolist()
+        [40.0, -40.0, 0.0, 79.99998, 79.99998]
+        """
         return self.motors.steps_from_joints(np.asarray(q_deg, dtype=np.float64))
 
     def joints_from_motors(self, steps: JointsLike) -> FloatArray:
@@ -215,7 +260,7 @@ class Arm:
     # -- program frame ----------------------------------------------------------------------------------------------
 
     def pose_from_program(self, target: Target6, seed_deg: JointsLike | None = None) -> Pose:
-        """The pose that X Y Z A B C ask for, base frame.
+        """The pose (mm, deg, base frame) that X Y Z A B C ask for.
 
         XYZABC: of the two ways to hold the orientation, the one with the solution that `joints_from_program` puts
         first. Reachability is not judged here: ask `ik`, or `joints_from_program`. Raises OrientationError, with
@@ -232,14 +277,18 @@ class Arm:
         return Pose(xyz, pitch, roll, waist, rotation)
 
     def joints_from_program(self, target: Target6, seed_deg: JointsLike | None = None) -> IkResult:
-        """All joint angles for X Y Z A B C in the program frame; as `ik`, with the roll turned into its range
+        """All joint angles (deg) for X Y Z A B C in the program frame; as `ik`, with the roll turned into its range
         where it comes from an orientation (XYZABC). Raises OrientationError as `pose_from_program` does."""
         seed = self.home_deg if seed_deg is None else forward.joints_of(seed_deg)
         xyz, readings = self._readings(target, seed)
         return self._solve_readings(target, xyz, readings, seed)
 
     def program_from_joints(self, q_deg: JointsLike) -> Target6:
-        """X Y Z A B C in the program frame for joints (5,) deg; C is 0 for XYZAB."""
+        """X Y Z (mm) A B C (deg) in the program frame for joints (5,) deg; C is 0 for XYZAB.
+
+        >>> arm.program_from_joints((0, 0, 0, 90, 10))[3:]
+        (90.0, 10.0, 0.0)
+        """
         pose = self.fk(q_deg)
         x, y, z = self.frame.program_from_base(pose.xyz_mm).tolist()
         if self.frame.has_rpy:

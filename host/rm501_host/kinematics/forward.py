@@ -127,7 +127,7 @@ def positions_and_rotations(geometry: ArmGeometry, q_deg: FloatArray) -> tuple[F
 
 
 def dh_matrix(theta_rad: float, d_mm: float, a_mm: float, alpha_rad: float) -> FloatArray:
-    """One standard DH transform (4, 4): Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
+    """One standard DH transform (4, 4), mm: Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
     ct, st, ca, sa = cos(theta_rad), sin(theta_rad), cos(alpha_rad), sin(alpha_rad)
     return np.array(
         (

@@ -102,7 +102,7 @@ class ArmGeometry:
         )
 
     def with_tool(self, length_mm: float, offset_mm: tuple[float, float]) -> ArmGeometry:
-        """This arm with a further tool of that length along and offset across the (tilted) tool."""
+        """This arm with a further tool of that length along and offset across the (tilted) tool, mm."""
         r = self.tilt
         x, y = offset_mm
         z = length_mm

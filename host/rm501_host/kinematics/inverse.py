@@ -214,7 +214,7 @@ class InverseSolver:
 
 
 def out_of_limits(geometry: ArmGeometry, solutions: tuple[IkSolution, ...]) -> IkResult:
-    """The refusal of solutions that are all outside the limits: names the joints of the one that fails by least."""
+    """The refusal of solutions that are all outside the limits: names the joints (deg) of the one that fails least."""
     per_solution = [limit_shortfalls(geometry, solution.q_deg) for solution in solutions]
     least = min(per_solution, key=lambda excesses: max(excess.amount for excess in excesses))
     reason = "; ".join(excess.text for excess in least)
@@ -299,7 +299,7 @@ def _singular(
 
 
 def order_by_distance(solutions: Sequence[IkSolution], seed_deg: Joints, geometry: ArmGeometry) -> list[IkSolution]:
-    """Solutions inside the limits first, then by weighted joint distance to the seed."""
+    """Solutions inside the limits first, then by `joint_distance` to the seed (5,) deg."""
 
     def key(solution: IkSolution) -> tuple[bool, float]:
         return (not solution.in_limits, joint_distance(geometry, solution.q_deg, seed_deg))

@@ -100,7 +100,7 @@ def distances(geometry: ArmGeometry, q_deg: JointsLike) -> tuple[Singularity, ..
 
 
 def within(geometry: ArmGeometry, q_deg: JointsLike, margin: float) -> tuple[Singularity, ...]:
-    """Those whose measure is at most `margin`, nearest first; raises KinematicsError for a negative margin."""
+    """Those whose measure at q (5,) deg is at most `margin`, nearest first; KinematicsError for a negative one."""
     if not margin >= 0:
         raise KinematicsError(f"a margin is 0 or more, not {margin}")
     near = [singularity for singularity in distances(geometry, q_deg) if singularity.measure <= margin]

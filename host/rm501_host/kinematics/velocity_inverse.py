@@ -150,7 +150,7 @@ class Damping:
             raise KinematicsError(f"damping {self.largest} and its threshold {self.threshold} must be above 0")
 
     def factor(self, manipulability: float, before: float | None = None) -> float:
-        """l for the manipulability now and, for RATE_OF_CHANGE, at the step before (None: none yet)."""
+        """l, in the unit of A, for the manipulability now and, for RATE_OF_CHANGE, before (None: none yet)."""
         if self.law is DampingLaw.CONSTANT:
             return self.largest
         if self.law is DampingLaw.MANIPULABILITY:
