@@ -27,14 +27,12 @@ from .core import Core, Report
 from .inputs import TRIGGER_SLOTS
 from .layout import BoardLayout
 from .pins import Pins
-from .segment_queue import FRAME_MASK
+from .segment_queue import FRAME_MASK, QUEUE_SLOTS
 from .states import Stimulus
 
-__all__ = ["BUILD", "QUEUE_SLOTS", "Board"]
+__all__ = ["BUILD", "Board"]
 
 BUILD = "rm501 firmware model"
-QUEUE_SLOTS = 32
-"""Segments that the queue holds."""
 CLOCK_HZ = 1_000_000
 
 

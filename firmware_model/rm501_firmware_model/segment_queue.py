@@ -13,8 +13,10 @@ from rm501_protocol.enums import SegmentFlag
 from rm501_protocol.segment import A_SHIFT, V_SHIFT
 from rm501_protocol.segment_message import Segment
 
-__all__ = ["EVENT_RING_SLOTS", "SLOPE_MAX", "SegmentQueue", "triangle"]
+__all__ = ["EVENT_RING_SLOTS", "QUEUE_SLOTS", "SLOPE_MAX", "SegmentQueue", "triangle"]
 
+QUEUE_SLOTS = 32
+"""Segments that the queue holds."""
 EVENT_RING_SLOTS = 32
 """Events waiting at one time: one for every segment of a full queue."""
 SLOPE_MAX = 0xFFFF
@@ -43,7 +45,6 @@ class SegmentQueue:
         "j",
         "last_slope",
         "length",
-        "mask",
         "motors",
         "rest_points",
         "room",
@@ -59,7 +60,6 @@ class SegmentQueue:
         self.count = 0  # u8
         self.length = [0] * slots  # u16
         self.flags = [0] * slots  # u8
-        self.mask = [0] * slots  # u8
         self.hold_slope = [SLOPE_MAX] * slots  # u16
         self.stop_slope = [SLOPE_MAX] * slots  # u16
         self.v = [0] * (slots * motors)  # s32 on the wire's scale in C, here already shifted
@@ -88,7 +88,6 @@ class SegmentQueue:
         slot = self.slot_of(self.count)
         self.length[slot] = segment.length_frames
         self.flags[slot] = segment.flags
-        self.mask[slot] = 0
         self.hold_slope[slot] = segment.hold_slope
         self.stop_slope[slot] = segment.stop_slope
         base = slot * self.motors
@@ -97,7 +96,6 @@ class SegmentQueue:
             self.a[base + motor] = 0
             self.j[base + motor] = 0
         for term in segment.motors:
-            self.mask[slot] |= 1 << term.motor
             self.v[base + term.motor] = term.v << V_SHIFT
             self.a[base + term.motor] = term.a << A_SHIFT
             self.j[base + term.motor] = term.j

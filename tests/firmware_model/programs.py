@@ -152,7 +152,7 @@ def slopes_for(layout: BoardLayout, segment: Segment, ratio: int = 2) -> tuple[i
 
 
 def swinging_program(rng: random.Random, swings: int, config: BoardConfig = RM501_BOARD) -> list[Segment]:
-    """A program like an arm's: all motors go somewhere near full speed and come to rest, over and over, with hand strokes.
+    """A program like an arm's: all motors come near full speed and to rest again, over and over, with hand strokes.
 
     Slopes are those that the host would declare, so ramps use the acceleration limits fully.
     """

@@ -1,0 +1,1 @@
+"""Cycles of the board's tick on an ATmega2560, measured in simavr."""
