@@ -28,6 +28,7 @@ MAX_MOTORS = 8
 MAX_EVENTS = 8
 """Keeps the largest segment (8 motors, cubic, 8 events: 157 bytes) below the frame limit and a queue slot small."""
 
+_LAYOUT = __doc__ or ""
 _FIXED = struct.Struct("<IHBHHB")
 _REAL = struct.Struct("<I")
 _QUADRATIC = struct.Struct("<ii")
@@ -104,7 +105,7 @@ class Segment(CustomPayload, Message):
     ] = ()
     real_frame: Annotated[int, U32("real frames", "with START_AT_REAL_FRAME: not before")] = 0
 
-    LAYOUT: ClassVar[str] = __doc__
+    LAYOUT: ClassVar[str] = _LAYOUT
 
     @property
     def end_frames(self) -> int:
