@@ -82,7 +82,7 @@ class Guard:
                 f"{host} is not a loopback address; give --token-file, or listen on 127.0.0.1 and use a tunnel"
             )
 
-    def access(self, peer: str, host_header: str, origin: str | None, authorization: str | None) -> Access | None:
+    def access(self, peer: str, authorization: str | None) -> Access | None:
         """The level a client gets, None to refuse it (401)."""
         local = is_loopback(peer)
         if self._token is None:

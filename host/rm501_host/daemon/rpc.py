@@ -196,6 +196,11 @@ def notification(name: str, params: object) -> bytes:
     return msgspec.json.encode({"jsonrpc": "2.0", "method": name, "params": params})
 
 
+def error_response(code: Code, message: str) -> bytes:
+    """An error that answers no request in particular."""
+    return _failed(None, RpcError(code, message))
+
+
 def _code_of(error: Rm501Error) -> Code:
     from rm501_host.machine.lease import LeaseHeldError
 

@@ -1,0 +1,40 @@
+"""One command's conversation with the daemon: connect, talk, hang up, all on one event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from rm501_host.client.client import DaemonClient, connect
+from rm501_host.daemon.paths import socket_path
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def daemon_option(command: F) -> F:
+    """`--daemon ADDRESS` and `--token-file FILE` for a command that talks to the daemon."""
+    command = click.option(
+        "--token-file", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="The daemon's token."
+    )(command)
+    return click.option(
+        "--daemon", metavar="ADDRESS", help="unix:PATH or ws://HOST:PORT/rpc; default: the local daemon's socket."
+    )(command)
+
+
+def talk(daemon: str | None, token_file: Path | None, work: Callable[[DaemonClient], Coroutine[Any, Any, T]]) -> T:
+    """Run `work` with a connected client; raises NoBoardError (exit code 4) when no daemon is there."""
+    address = daemon or f"unix:{socket_path(os.environ, os.getuid() if hasattr(os, 'getuid') else 0)}"
+    token = None if token_file is None else token_file.read_text("utf-8").strip()
+
+    async def conversation() -> T:
+        client = await connect(address, token=token, name=f"rm501-host {os.getpid()}")
+        async with client:
+            return await work(client)
+
+    return asyncio.run(conversation())
