@@ -33,6 +33,7 @@ from rm501_sim_board.wiring import Terminal, Wire, Wiring, WordArray
 BUTTONS: tuple[InputId, ...] = (InputId.ESTOP, InputId.HOLD, InputId.CYCLE_START)
 # Plain numbers: these are touched at every reading.
 _SWITCH_LINES = tuple(int(InputId[f"SWITCH_{joint.name}"]) for joint in Joint)
+_BUTTON_LINES = tuple(map(int, BUTTONS))
 _OVERFLOW_724, _OVERFLOW_732 = int(InputId.OVERFLOW_724), int(InputId.OVERFLOW_732)
 _INPUT_BITS = tuple(1 << line.bit for line in INPUT_LINES)
 _INVERTED_INPUTS = sum(1 << line.bit for line in INPUT_LINES if line.inverted)
@@ -98,7 +99,8 @@ class Bench:
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
         self._agenda_count = 0
         self._pending: list[WordArray] = []
-        self._pending_words = 0
+        self._loose_words: list[int] = []
+        self._written_periods = 0
         self._decoded_periods = 0
         self._settled_frame = -1
         self._missed_strobes = 0.0
@@ -112,19 +114,19 @@ class Bench:
 
     def write_frame(self, frame: int, words: Sequence[int]) -> None:
         """Port words of one frame, one per base period; copied."""
-        self.write_block(frame, np.array(words, dtype=np.uint32))
+        if frame * self.clock.periods_per_frame != self._written_periods:
+            self._refuse_gap(frame)
+        self._loose_words += words
+        self._written_periods += len(words)
 
     def write_block(self, first_frame: int, words: npt.NDArray[np.uint32]) -> None:
         """Port words of whole frames, in order; a gap is a bug in the microcontroller's model."""
+        if first_frame * self.clock.periods_per_frame != self._written_periods:
+            self._refuse_gap(first_frame)
         block = np.asarray(words, dtype=np.uint32).reshape(-1)
-        expected = self._decoded_periods + self._pending_words
-        if first_frame * self.clock.periods_per_frame != expected:
-            raise BenchConfigError(
-                f"port words for frame {first_frame} came after {expected} base periods; frames must follow each other"
-            )
+        self._gather_loose_words()
         self._pending.append(block)
-        self._pending_words += len(block)
-        self.recording.add_words(block)
+        self._written_periods += len(block)
 
     def read_inputs(self, frame: int) -> int:
         """The input word at the start of real `frame`."""
@@ -271,12 +273,24 @@ class Bench:
             counter_limit_steps=parameters.counter_limit_steps,
         )
 
+    def _refuse_gap(self, frame: int) -> None:
+        raise BenchConfigError(
+            f"port words for frame {frame} came after {self._written_periods} base periods; frames must follow "
+            "each other"
+        )
+
+    def _gather_loose_words(self) -> None:
+        if self._loose_words:
+            self._pending.append(np.array(self._loose_words, dtype=np.uint32))
+            self._loose_words.clear()
+
     def _decode(self) -> None:
+        self._gather_loose_words()
         if not self._pending:
             return
         words = self._pending[0] if len(self._pending) == 1 else np.concatenate(self._pending)
         self._pending.clear()
-        self._pending_words = 0
+        self.recording.add_words(words)
         if self._missed_strobes:
             words = self._without_some_strobes(words)
         activity = self.boards.decode(words, self._decoded_periods)
@@ -329,8 +343,10 @@ class Bench:
             active[_OVERFLOW_732] = plant.overflow_line(Board.SHOULDER_WRIST)
         else:
             active[_OVERFLOW_724] = active[_OVERFLOW_732] = False
-        for button in BUTTONS:
-            active[button] = button in self._pressed
+        for button in _BUTTON_LINES:
+            active[button] = False
+        for button in self._pressed:
+            active[button] = True
         for line, level in self._forced.items():
             active[line] = level
         word = _INVERTED_INPUTS

@@ -85,7 +85,8 @@ class Emulator:
 
     @property
     def recording(self) -> Recording:
-        """Port words and counted steps since power-up."""
+        """Port words and counted steps since power-up, up to the present frame."""
+        self.bench.settle(self.frame)
         return self.bench.recording
 
     @property

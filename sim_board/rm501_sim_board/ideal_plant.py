@@ -7,6 +7,7 @@ power the arm stays where it is and the counters go on counting.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from rm501_sim_board.driver_boards import MOTORS_OF_BOARD, Board, BusActivity, IntArray
 from rm501_sim_board.geometry import ARM_MOTOR_COUNT, END_STOPS, DriveTrain, FloatArray
@@ -18,6 +19,28 @@ from rm501_sim_board.plant import (
 )
 
 TRACE_FRAMES = 3
+
+
+class _Log:
+    """Position of one motor over time, as changes: cheap to write, summed up when somebody asks."""
+
+    __slots__ = ("deltas", "periods")
+
+    def __init__(self) -> None:
+        self.periods: list[IntArray] = []
+        self.deltas: list[npt.NDArray[np.float64] | IntArray] = []
+
+    def add(self, periods: IntArray, deltas: npt.NDArray[np.float64] | IntArray) -> None:
+        self.periods.append(periods)
+        self.deltas.append(deltas)
+
+    def at(self, grid_periods: IntArray) -> FloatArray:
+        """Position before each grid period."""
+        if not self.periods:
+            return np.zeros(len(grid_periods))
+        periods, deltas = np.concatenate(self.periods), np.concatenate(self.deltas)
+        sums = np.concatenate(([0.0], np.cumsum(deltas, dtype=np.float64)))
+        return sums[np.searchsorted(periods, grid_periods, side="left")]
 
 
 class IdealPlant:
@@ -44,19 +67,22 @@ class IdealPlant:
         self._max_steps_per_frame = max_steps_per_frame
         self._power_fitted = power_fitted
         self._relay = not power_fitted
-        self._to_joint = tuple(tuple(row) for row in drive_train.joints_from_steps().tolist())
-        self._start_steps: FloatArray = drive_train.steps_from_joints() @ np.asarray(start_deg)
-        self._joint_bounds = tuple(sum(abs(entry) for entry in row) * max_steps_per_frame for row in self._to_joint)
+        to_joint = drive_train.joints_from_steps().tolist()
+        self._rows = tuple(tuple((m, e) for m, e in enumerate(row) if e) for row in to_joint)
+        self._start_steps: list[float] = (drive_train.steps_from_joints() @ np.asarray(start_deg)).tolist()
+        self._joint_bounds = tuple(sum(abs(e) for _, e in row) * max_steps_per_frame for row in self._rows)
         self._commanded = [0] * ARM_MOTOR_COUNT
         self._accepted = [0] * ARM_MOTOR_COUNT
         self._actual = [0] * ARM_MOTOR_COUNT
+        self._slip_seen = [0.0] * ARM_MOTOR_COUNT
         self._overflowed: set[int] = set()
         self._pending: list[BusActivity] = []
         self._joint_deg: tuple[float, ...] | None = None
-        self._sample_frames: list[IntArray] = []
-        self._sample_commanded: list[IntArray] = []
-        self._sample_actual: list[FloatArray] = []
-        self._next_sample_frame = 0
+        self._travel_left = 0  # steps that surely reach no end stop
+        self._first_period = 0
+        self._period = 0
+        self._command_logs = tuple(_Log() for _ in range(ARM_MOTOR_COUNT))
+        self._actual_logs = tuple(_Log() for _ in range(ARM_MOTOR_COUNT))
 
     @property
     def powered(self) -> bool:
@@ -82,16 +108,15 @@ class IdealPlant:
     def joint_deg(self) -> tuple[float, ...]:
         """True joint angles, DH deg."""
         if self._joint_deg is None:
-            steps = [
-                start + actual + slip
-                for start, actual, slip in zip(
-                    self._start_steps, self._actual, self.disturbances.slip_steps, strict=True
-                )
-            ]
-            self._joint_deg = tuple(
-                float(sum(entry * step for entry, step in zip(row, steps, strict=True) if entry))
-                for row in self._to_joint
-            )
+            slip = self.disturbances.slip_steps
+            steps = [s + a + p for s, a, p in zip(self._start_steps, self._actual, slip, strict=True)]
+            angles: list[float] = []
+            for row in self._rows:
+                angle = 0.0
+                for motor, entry in row:
+                    angle += entry * steps[motor]
+                angles.append(angle)
+            self._joint_deg = tuple(angles)
         return self._joint_deg
 
     def overflow_line(self, board: Board) -> bool:
@@ -102,7 +127,9 @@ class IdealPlant:
         """Frames for which no overflow line can change."""
         if self._overflowed:
             return 1  # a master reset can come with the next word
-        fullest = max(abs(error) for error in self.counter_error_steps)
+        fullest = 0
+        if self._accepted != self._actual:
+            fullest = max(abs(error) for error in self.counter_error_steps)
         return max(1, int((self._limit - fullest) / self._max_steps_per_frame) - 1)
 
     def joint_speed_bounds_deg_per_frame(self) -> tuple[float, ...]:
@@ -118,92 +145,82 @@ class IdealPlant:
 
     def advance(self, frame: int) -> None:
         """Bring the state to the start of `frame`."""
+        if self._slip_seen != self.disturbances.slip_steps:
+            self._note_slip()
         for activity in self._pending:
             self._consume(activity)
         self._pending.clear()
-        self._joint_deg = None
 
     def trace(self) -> MotorTrace:
         """Positions every `TRACE_FRAMES` frames since power-up."""
-        if not self._sample_frames:
-            empty = np.zeros((0, ARM_MOTOR_COUNT))
-            return MotorTrace(np.zeros(0, dtype=np.int64), empty, empty)
+        per_frame = self._clock.periods_per_frame
+        first, end = -(-self._first_period // per_frame), self._period // per_frame
+        frames = np.arange(-(-first // TRACE_FRAMES) * TRACE_FRAMES, end + 1, TRACE_FRAMES, dtype=np.int64)
+        grid = frames * per_frame
         return MotorTrace(
-            np.concatenate(self._sample_frames),
-            np.concatenate(self._sample_commanded).astype(np.float64),
-            np.concatenate(self._sample_actual) + self._start_steps,
+            frames,
+            np.stack([log.at(grid) for log in self._command_logs], axis=1),
+            np.stack([log.at(grid) for log in self._actual_logs], axis=1) + np.asarray(self._start_steps),
         )
+
+    def _note_slip(self) -> None:
+        for motor, (seen, now) in enumerate(zip(self._slip_seen, self.disturbances.slip_steps, strict=True)):
+            if seen != now:
+                self._actual_logs[motor].add(np.array([self._period], dtype=np.int64), np.array([now - seen]))
+        self._slip_seen = list(self.disturbances.slip_steps)
+        self._joint_deg = None
+        self._travel_left = 0
 
     def _consume(self, activity: BusActivity) -> None:
         plain = not (activity.master_reset.periods.size or activity.motor_power.periods.size)
-        frames = self._grid(activity)
         healthy = self.powered and not self.disturbances.stalled and not self._overflowed
-        if plain and healthy and not self._near_stop_after(activity):
-            self._follow(activity, frames)
+        if plain and healthy and self._accepted == self._actual and self._far_from_stops(activity):
+            for motor, steps in enumerate(activity.steps[:ARM_MOTOR_COUNT]):
+                if steps.periods.size:
+                    made = int(steps.signs.sum())
+                    self._commanded[motor] += made
+                    self._accepted[motor] += made
+                    self._actual[motor] += made
+                    self._command_logs[motor].add(steps.periods, steps.signs)
+                    self._actual_logs[motor].add(steps.periods, steps.signs)
+                    self._joint_deg = None
         else:
-            self._count_one_by_one(activity, frames)
+            self._count_one_by_one(activity)
+        self._period = activity.end_period
 
-    def _near_stop_after(self, activity: BusActivity) -> bool:
-        self._joint_deg = None
-        travel = [len(steps.periods) for steps in activity.steps[:ARM_MOTOR_COUNT]]
-        for row, joint_deg, stop in zip(self._to_joint, self.joint_deg, END_STOPS, strict=True):
-            margin_deg = sum(abs(entry) * count for entry, count in zip(row, travel, strict=True))
-            if joint_deg - margin_deg < stop.low_deg or joint_deg + margin_deg > stop.high_deg:
-                return True
+    def _far_from_stops(self, activity: BusActivity) -> bool:
+        """Whether the steps of the block cannot reach an end stop, wherever they lead."""
+        travel = 0
+        for steps in activity.steps[:ARM_MOTOR_COUNT]:
+            travel += len(steps.periods)
+        if travel <= self._travel_left:
+            self._travel_left -= travel
+            return True
+        self._travel_left = min(
+            int(min(angle - stop.low_deg, stop.high_deg - angle) / max(abs(e) for _, e in row)) - 1
+            for angle, row, stop in zip(self.joint_deg, self._rows, END_STOPS, strict=True)
+        )
+        if travel <= self._travel_left:
+            self._travel_left -= travel
+            return True
+        self._travel_left = 0
         return False
 
-    def _grid(self, activity: BusActivity) -> IntArray:
-        end_frame = activity.end_period // self._clock.periods_per_frame
-        frames = np.arange(self._next_sample_frame, end_frame + 1, TRACE_FRAMES, dtype=np.int64)
-        if frames.size:
-            self._next_sample_frame = int(frames[-1]) + TRACE_FRAMES
-        return frames
-
-    def _follow(self, activity: BusActivity, frames: IntArray) -> None:
-        """Every counted step is made; positions on the sample grid come from the running sums."""
-        grid_periods = frames * self._clock.periods_per_frame
-        commanded = np.empty((len(frames), ARM_MOTOR_COUNT), dtype=np.int64)
-        actual = np.empty((len(frames), ARM_MOTOR_COUNT))
-        for motor, steps in enumerate(activity.steps[:ARM_MOTOR_COUNT]):
-            base = self._commanded[motor]
-            # Whatever the counter still holds is made up for at once.
-            lag = self._accepted[motor] - base
-            slip = self.disturbances.slip_steps[motor]
-            if not steps.periods.size:
-                commanded[:, motor] = base
-                actual[:, motor] = base + lag + slip
-                self._actual[motor] = self._accepted[motor]
-                continue
-            sums = np.concatenate(([0], np.cumsum(steps.signs)))
-            commanded[:, motor] = base + sums[np.searchsorted(steps.periods, grid_periods, side="left")]
-            actual[:, motor] = commanded[:, motor] + lag + slip
-            self._commanded[motor] = base + int(sums[-1])
-            self._accepted[motor] = self._actual[motor] = self._commanded[motor] + lag
-        self._keep(frames, commanded, actual)
-
-    def _count_one_by_one(self, activity: BusActivity, frames: IntArray) -> None:
+    def _count_one_by_one(self, activity: BusActivity) -> None:
         """The careful way, event by event: power, resets, stalls, end stops and full counters."""
         events: list[tuple[int, int, int, int]] = []
         for motor, steps in enumerate(activity.steps[:ARM_MOTOR_COUNT]):
+            if steps.periods.size:
+                self._command_logs[motor].add(steps.periods, steps.signs)
             events += [(p, 2, motor, s) for p, s in zip(steps.periods.tolist(), steps.signs.tolist(), strict=True)]
-        changes = activity.motor_power
-        events += [
-            (p, 0, int(level), 0) for p, level in zip(changes.periods.tolist(), changes.levels.tolist(), strict=True)
-        ]
-        changes = activity.master_reset
-        events += [
-            (p, 1, int(level), 0) for p, level in zip(changes.periods.tolist(), changes.levels.tolist(), strict=True)
-        ]
-        grid = (frames * self._clock.periods_per_frame).tolist()
-        events += [(p, -1, 0, 0) for p in grid]
-        commanded_rows: list[list[int]] = []
-        actual_rows: list[list[float]] = []
-        self._settle()
-        for _, kind, which, sign in sorted(events):
-            if kind == -1:
-                commanded_rows.append(list(self._commanded))
-                actual_rows.append([a + s for a, s in zip(self._actual, self.disturbances.slip_steps, strict=True)])
-                continue
+        for kind, changes in ((0, activity.motor_power), (1, activity.master_reset)):
+            events += [
+                (p, kind, int(level), 0)
+                for p, level in zip(changes.periods.tolist(), changes.levels.tolist(), strict=True)
+            ]
+        made: list[list[tuple[int, int]]] = [[] for _ in range(ARM_MOTOR_COUNT)]
+        self._settle(activity.first_period, made)
+        for period, kind, which, sign in sorted(events):
             if kind == 0:
                 self._relay = bool(which) or not self._power_fitted
             elif kind == 1:
@@ -211,9 +228,12 @@ class IdealPlant:
                     self._clear_counters()
             else:
                 self._count(which, sign)
-            self._settle()
-        if grid:
-            self._keep(frames, np.asarray(commanded_rows, dtype=np.int64), np.asarray(actual_rows))
+            self._settle(period, made)
+        for log, followed in zip(self._actual_logs, made, strict=True):
+            if followed:
+                pairs = np.array(followed, dtype=np.int64)
+                log.add(pairs[:, 0], pairs[:, 1])
+        self._travel_left = 0
 
     def _count(self, motor: int, sign: int) -> None:
         self._commanded[motor] += sign
@@ -223,23 +243,24 @@ class IdealPlant:
         else:
             self._accepted[motor] += sign
 
-    def _settle(self) -> None:
+    def _settle(self, period: int, made: list[list[tuple[int, int]]]) -> None:
         """Let every motor that can turn go to where its counter is empty, up to the end stops."""
-        self._joint_deg = None
         if not self.powered:
             return
         for motor in range(ARM_MOTOR_COUNT):
-            target = self._accepted[motor]
-            if target == self._actual[motor] or motor in self.disturbances.stalled:
+            target, start = self._accepted[motor], self._actual[motor]
+            if target == start or motor in self.disturbances.stalled:
                 continue
-            step = 1 if target > self._actual[motor] else -1
+            step = 1 if target > start else -1
             while self._actual[motor] != target:
                 self._actual[motor] += step
                 self._joint_deg = None
                 if self._beyond_stop():
                     self._actual[motor] -= step
                     break
-        self._joint_deg = None
+            self._joint_deg = None
+            if self._actual[motor] != start:
+                made[motor].append((period, self._actual[motor] - start))
 
     def _beyond_stop(self) -> bool:
         return any(
@@ -249,9 +270,3 @@ class IdealPlant:
     def _clear_counters(self) -> None:
         self._accepted = list(self._actual)
         self._overflowed.clear()
-
-    def _keep(self, frames: IntArray, commanded: IntArray, actual: FloatArray) -> None:
-        if frames.size:
-            self._sample_frames.append(frames)
-            self._sample_commanded.append(commanded)
-            self._sample_actual.append(actual)

@@ -81,7 +81,7 @@ def _servo(
         stiction_ratio=1.25,
         torque_limit_nm=limit,
         stall_torque_nm=2.0 * limit,
-        no_load_deg_s=90.0,
+        no_load_deg_s=60.0,
         friction_scatter=0.12,
         backlash_deg=0.05,
         compliance_deg_nm=0.004,

