@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 PIN_ORDER = (1, 2, 3, 4, 5, 6, 7, 8, 9, 14, 16, 17)
 
@@ -49,8 +50,7 @@ def bit_of(signal: str) -> int:
     return 16 * port + PIN_ORDER.index(pin)
 
 
-@dataclass(frozen=True, slots=True)
-class Latch:
+class Latch(NamedTuple):
     """One strobe edge at a selected register: base period, latched step and direction levels (logical)."""
 
     period: int
@@ -73,39 +73,51 @@ class DecodedRun:
 
 
 def decode(words: Iterable[int], first_period: int = 0) -> DecodedRun:
-    """Run the three boards over port words, one per base period, starting from all lines inactive."""
+    """Run the three boards over port words, one per base period, starting from all lines inactive.
+
+    A line is active while its bit is 0. Only the strobe, and the lines that act by themselves, are looked at in every
+    period; data and selects matter at the strobe's edge alone.
+    """
     run = DecodedRun()
-    shift = {name: bit_of(name) for name in PINS}
-    active: dict[str, bool] = dict.fromkeys(PINS, False)
+    strobe, reset = 1 << bit_of("STROBE"), 1 << bit_of("MASTER RESET")
+    power, heartbeat = 1 << bit_of("MOTOR_POWER"), 1 << bit_of("HEARTBEAT")
+    watched = reset | power | heartbeat
+    hand_direction_select, hand_power_select = 1 << bit_of("HAND DIRECTION"), 1 << bit_of("HAND POWER")
+    hand_1 = 1 << bit_of("HAND_1")
+    registers = [
+        (motor, 1 << bit_of(select), 1 << bit_of(step), 1 << bit_of(direction), run.latches[motor], run.steps[motor])
+        for motor, (select, step, direction) in REGISTERS.items()
+    ]
     step_level = dict.fromkeys(MOTORS, False)
     hand_direction = hand_power = False
+    before = ~0
     period = first_period
-    for word in words:
-        before = active
-        word = int(word)
-        active = {name: not word >> bit & 1 for name, bit in shift.items()}
-        if active["MASTER RESET"] and not before["MASTER RESET"]:
-            run.master_reset_periods.append(period)
-        if active["MOTOR_POWER"] != before["MOTOR_POWER"]:
-            run.power_changes.append((period, active["MOTOR_POWER"]))
-        run.heartbeat_edges += active["HEARTBEAT"] != before["HEARTBEAT"]
-        if active["STROBE"] and not before["STROBE"]:
-            for motor, (select, step, direction) in REGISTERS.items():
-                if not active[select]:
+    for word in map(int, words):
+        if (before ^ word) & watched:
+            if before & reset and not word & reset:
+                run.master_reset_periods.append(period)
+            if (before ^ word) & power:
+                run.power_changes.append((period, not word & power))
+            run.heartbeat_edges += bool((before ^ word) & heartbeat)
+        if before & strobe and not word & strobe:
+            for motor, select, step, direction, latches, steps in registers:
+                if word & select:
                     continue
-                latch = Latch(period, active[step], active[direction])
-                run.latches[motor].append(latch)
-                if latch.step and not step_level[motor]:
-                    sign = -1 if latch.direction else 1
-                    run.steps[motor].append((period, sign))
+                level, negative = not word & step, not word & direction
+                latches.append(Latch(period, level, negative))
+                if level and not step_level[motor]:
+                    sign = -1 if negative else 1
+                    steps.append((period, sign))
                     run.counts[motor] += sign
-                step_level[motor] = latch.step
-            if active["HAND DIRECTION"]:
-                hand_direction = active["HAND_1"]
-            if active["HAND POWER"]:
-                if active["HAND_1"] and not hand_power:
+                step_level[motor] = level
+            if not word & hand_direction_select:
+                hand_direction = not word & hand_1
+            if not word & hand_power_select:
+                pulse = not word & hand_1
+                if pulse and not hand_power:
                     run.hand_pulses.append((period, -1 if hand_direction else 1))
-                hand_power = active["HAND_1"]
+                hand_power = pulse
+        before = word
         period += 1
     run.periods = period - first_period
     return run
