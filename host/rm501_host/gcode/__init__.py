@@ -29,6 +29,7 @@ from rm501_host.gcode.registry import CODES, Code, Support
 from rm501_host.gcode.resolve import ExternalAction, ResolvedMove, ResolveOptions, Resolver, resolve
 from rm501_host.gcode.source import FileLines, ProgramLines, TextLines
 from rm501_host.gcode.tools import Tool, ToolTable, load_tool_table, parse_tool_table
+from rm501_host.gcode.user_m import UserMCodeError, find_user_m, run_user_m
 
 __all__ = [
     "CODES",
@@ -65,7 +66,9 @@ __all__ = [
     "TextLines",
     "Tool",
     "ToolTable",
+    "UserMCodeError",
     "UserMKind",
+    "find_user_m",
     "format_call",
     "format_canon",
     "format_canon_lines",
@@ -74,5 +77,6 @@ __all__ = [
     "load_tool_table",
     "parse_tool_table",
     "resolve",
+    "run_user_m",
     "to_json",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from rm501_host.gcode.errors import GcodeError
 from rm501_host.gcode.expressions import Node, ParameterTarget
 
 
@@ -16,6 +17,8 @@ class OWord:
     arguments: tuple[Node, ...] = ()
     offset: int = 0
     fanuc: bool = False
+    fault: GcodeError | None = None
+    """What is wrong with the arguments, found while skipping: counts only if they are needed."""
 
 
 @dataclass(slots=True)

@@ -100,8 +100,8 @@ class CanonPrinter:
             return ()
         self._count += 1
         number = call.at.number
-        label = "N....." if number is None else f"N{number:<5}"
-        return (f"{self._count:5} {label} {text}",)
+        label = "N..... " if number is None else f"N{number:<6}"
+        return (f"{self._count:5} {label}{text}",)
 
 
 def format_canon(call: c.CanonCall, printer: CanonPrinter | None = None) -> tuple[str, ...]:

@@ -6,11 +6,12 @@ import re
 
 from rm501_host.gcode.canon import Comment, LogAction, LogCall, OperatorMessage, PrintText, Signal, SignalCall
 from rm501_host.gcode.context import Context
-from rm501_host.gcode.errors import GcodeAbortError, GcodeError
+from rm501_host.gcode.errors import GcodeAbortError, GcodeError, GcodeUnsupportedError
 from rm501_host.gcode.expressions import MAX_PARAMETER
 from rm501_host.gcode.parameters import DEBUG_SWITCH, Parameters
 
 _KEYWORD = re.compile(r"\s*(msg|debug|print|logopen|logappend|log|abort),", re.IGNORECASE)
+_PYTHON = re.compile(r"\s*py\s*,", re.IGNORECASE)
 _LOG_CLOSE = re.compile(r"\s*logclose\s*\Z", re.IGNORECASE)
 _FIELD = re.compile(r"%d|%f|%\.[0-9]f|#<[^>]*>|#[0-9]+")
 _UNKNOWN = "######"
@@ -42,6 +43,11 @@ def expand(text: str, parameters: Parameters) -> str:
     return _FIELD.sub(replace, text)
 
 
+def is_active(comment: str) -> bool:
+    """Whether a comment does something."""
+    return _KEYWORD.match(comment) is not None or _LOG_CLOSE.match(comment) is not None
+
+
 def execute_comment(ctx: Context, comment: str) -> None:
     """One comment. Raises GcodeAbortError for (ABORT, ...)."""
     at = ctx.at
@@ -49,6 +55,8 @@ def execute_comment(ctx: Context, comment: str) -> None:
     if match is None:
         if _LOG_CLOSE.match(comment):
             ctx.emit(SignalCall(Signal.LOG_CLOSE, at))
+        elif _PYTHON.match(comment):
+            raise GcodeUnsupportedError("embedded Python is not supported", "Use M100 to M199 for external programs.")
         elif comment:
             ctx.emit(Comment(comment.lstrip(), at))
         return

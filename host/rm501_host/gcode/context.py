@@ -104,7 +104,7 @@ class Context:
 
     def resynchronise(self) -> None:
         """Before the next block the position is taken from the machine (only the peer's pretended one can differ)."""
-        if self.peer_mark is None or self.pending is not None:
+        if not self.peer_standalone or self.pending is not None:
             return
 
         def take_position() -> None:

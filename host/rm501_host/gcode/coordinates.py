@@ -162,7 +162,7 @@ def _g10_system(ctx: Context, words: Words, level: int) -> None:
     state, parameters = ctx.state, ctx.parameters
     if "i" in words or "j" in words:
         raise GcodeModalError(f"I J words not allowed with G10 L{level}", "Remove them.")
-    number = int(words["p"] + 0.5) if words.get("p", -1.0) > -0.5 else -1
+    number = int(words["p"]) if words.get("p", -1.0) >= 0.0 else -1
     if not 0 <= number <= 9:
         raise GcodeModalError(
             f"P value out of range (0-9) with G10 L{level}", "P 1 to 9 is G54 to G59.3, P 0 the one in force."

@@ -51,9 +51,6 @@ def cycle(ctx: Context, code: int, words: Words) -> None:
     need_feed(state, "feed")
     if state.inverse_time:
         raise GcodeModalError("cannot use inverse time feed with canned cycles", "Switch to G94.")
-    for axis in "abc":
-        if axis in words:
-            raise GcodeModalError(f"cannot put an {axis} in canned cycle", "Turn the tool in a block of its own.")
     repeats = to_integer(words["l"], "L, the repeats") if "l" in words else 1
     if repeats == 0:
         raise GcodeModalError("cannot do zero repeats of cycle", "L is at least 1.")

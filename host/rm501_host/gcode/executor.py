@@ -108,6 +108,10 @@ def check_words(state: State, block: Evaluated) -> None:
         raise GcodeModalError("P value should be 1 or greater with G2 or G3", "P counts full turns begun.")
     if one_shot == 530 and (g.get(DISTANCE) == 910 or (DISTANCE not in g and not state.absolute)):
         raise GcodeModalError("cannot use G53 in incremental distance mode", "Switch to G90 first.")
+    if is_cycle:
+        for axis in "abc":
+            if axis in w:
+                raise GcodeModalError(f"cannot put an {axis} in canned cycle", "Turn the tool in a block of its own.")
     for letter in w:
         match letter:
             case "d":
@@ -115,12 +119,14 @@ def check_words(state: State, block: Evaluated) -> None:
             case "e":
                 _used(io in (66, 67, 68), "E", "M66, M67 or M68")
             case "h":
+                to_integer(w["h"], "H, the tool number")
                 _used(g.get(TOOL_LENGTH) in (430, 432), "H", "G43 or G43.2")
             case "i" | "j":
                 _used(is_arc or motion in (50, 51) or one_shot == 100, letter.upper(), "G2, G3, G5, G5.1 or G10")
             case "k":
                 _used(is_arc, "K", "G2 or G3")
             case "l":
+                to_integer(w["l"], "L")
                 _used(
                     is_cycle or one_shot == 100 or io in (66, 98) or motion == 52, "L", "G10, cycle, M66, M98 or G5.2"
                 )

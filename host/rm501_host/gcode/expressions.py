@@ -175,9 +175,22 @@ _OPERATOR = re.compile(r"\*\*|[*/+-]|mod|and|xor|or|eq|ne|gt|ge|lt|le")
 _FUNCTION = re.compile(r"[a-z]+")
 
 
+def _fails(function: Callable[..., float], *arguments: float) -> Node:
+    """A constant expression without a value: an error when it is evaluated, not where it is only read over."""
+
+    def evaluate_again(env: Environment) -> float:
+        del env
+        return function(*arguments)
+
+    return evaluate_again
+
+
 def _unary_node(function: Callable[[float], float], argument: Node) -> Node:
     if isinstance(argument, float):
-        return function(argument)
+        try:
+            return function(argument)
+        except GcodeMathError:
+            return _fails(function, argument)
     return lambda env: function(argument(env))
 
 
@@ -190,7 +203,10 @@ def _negative(argument: Node) -> Node:
 def _binary_node(function: Callable[[float, float], float], left: Node, right: Node) -> Node:
     if isinstance(left, float):
         if isinstance(right, float):
-            return function(left, right)
+            try:
+                return function(left, right)
+            except GcodeMathError:
+                return _fails(function, left, right)
         return lambda env: function(left, right(env))
     if isinstance(right, float):
         return lambda env: function(left(env), right)

@@ -125,6 +125,10 @@ class Flow:
         if self.skip is Skip.DEFINITION:
             if keyword == "sub":
                 raise GcodeFlowError("nested subroutine definition", "End the first one with endsub before this one.")
+            if word.arguments and label == self.skip_label and ctx.peer_standalone:
+                # LinuxCNC 2.9 computes the result of a subroutine while it only defines it
+                ctx.parameters.return_value = evaluate(word.arguments[0], ctx.parameters)
+                ctx.parameters.value_returned = True
             if keyword == "endsub" and label == self.skip_label:
                 self._stop_skipping()
             return
@@ -155,6 +159,8 @@ class Flow:
         self.skip, self.skip_label, self.skip_at = Skip.NO, "", None
 
     def _true(self, ctx: Context, word: OWord) -> bool:
+        if word.fault is not None:
+            raise word.fault
         return evaluate(word.arguments[0], ctx.parameters) != 0.0
 
     def _define(self, ctx: Context, keyword: str, label: str) -> None:
@@ -198,6 +204,8 @@ class Flow:
         self._require(label, "elseif", "if")
         if self.skip is Skip.NO or self.taken.get(label, False):
             if self.skip is Skip.NO:
+                if ctx.peer_standalone:
+                    self._true(ctx, word)  # LinuxCNC 2.9 computes conditions that no longer count
                 self._start_skipping(ctx, Skip.BRANCH, label)
             return
         if self._true(ctx, word):
@@ -365,7 +373,7 @@ class Flow:
         frame = self.frames[-1]
         if frame.fanuc:
             raise GcodeFlowError("a subroutine called with 'M98' must end with 'M99'", "Use M99 here.")
-        if frame.label != f"o<{label}>":
+        if isinstance(word.label, str) and frame.label != f"o<{label}>":
             raise GcodeFlowError(
                 f"{word.keyword} of o<{label}> inside {frame.label}", "Check the label: subroutines cannot overlap."
             )
@@ -390,6 +398,14 @@ class Flow:
             return False
         self._pop(ctx)
         return False
+
+    def _program(self, ctx: Context, word: OWord, label: str) -> None:
+        """A bare `O100` that is simply reached: the number of a program, unless a subroutine is being carried out."""
+        del ctx, word
+        if self.frames and not self.frames[-1].fanuc:
+            raise GcodeFlowError(
+                f"a bare 'O{label}' subroutine must be called with 'M98'", "End the subroutine before it with endsub."
+            )
 
     def _pop(self, ctx: Context) -> None:
         frame = self.frames.pop()
@@ -427,6 +443,7 @@ _HANDLERS: dict[str, Callable[[Flow, Context, OWord, str], None]] = {
     "endrepeat": Flow._endrepeat,
     "break": Flow._break,
     "continue": Flow._break,
+    "program": Flow._program,
     "sub": Flow._sub,
     "call": Flow._call,
     "endsub": Flow._endsub,

@@ -22,7 +22,7 @@ from typing import NoReturn
 
 from rm501_host.gcode import canon as c
 from rm501_host.gcode.block import Block
-from rm501_host.gcode.comments import execute_comment
+from rm501_host.gcode.comments import execute_comment, is_active
 from rm501_host.gcode.context import BUILT_IN_USER_M, Context, MachineFeedback, OfflineFeedback, PeerFeedback
 from rm501_host.gcode.coordinates import emit_g5x, emit_g92, emit_rotation
 from rm501_host.gcode.errors import (
@@ -51,6 +51,7 @@ BLOCK_CACHE = 4096
 """Parsed blocks kept: more than any loop has, a few MB at most."""
 HEARTBEAT_BLOCKS = 10_000
 MAX_WARNINGS = 1000
+_PERCENT = re.compile(r"\s*%\s*\Z")
 _MOTIONS = c.StraightFeed | c.StraightTraverse | c.ArcFeed | c.NurbsFeed
 
 
@@ -279,7 +280,7 @@ class Interpreter:
                 if block is not None and self._run_block(block, text, source.name, index + 1):
                     if starting:
                         self._never_reached(starting)
-                    if percent:
+                    if percent and not self._find_line(_PERCENT, index + 1, missing_is=False):
                         out.append(c.Comment("interpreter: percent sign missing from end of file", ctx.at))
                     self._warn_unfinished()
                     return
@@ -413,7 +414,8 @@ class Interpreter:
                 if not self._find_line(pattern, known.line + 1):
                     self._warn_at(f"missing {ending} for this {known.keyword}", known.at)
 
-    def _find_line(self, pattern: re.Pattern[str], index: int, most: int = 10_000) -> bool:
+    def _find_line(self, pattern: re.Pattern[str], index: int, *, most: int = 10_000, missing_is: bool = True) -> bool:
+        """Whether a line from `index` on matches; `missing_is` when it is not among the next `most`."""
         stop = index + most
         while index < stop:
             base, lines = self._flow.source.block(index)
@@ -423,7 +425,7 @@ class Interpreter:
                 if pattern.match(line):
                     return True
             index = base + len(lines)
-        return True
+        return missing_is
 
     # -- one block
 
@@ -451,10 +453,9 @@ class Interpreter:
             self._assign(block)
             return False
         if block.oword is not None:
-            skipping = self._flow.skip
             self._flow.control(ctx, block.oword)
-            if block.comment is not None and skipping is Skip.NO and self._flow.skip is Skip.NO:
-                execute_comment(ctx, block.comment)
+            if block.comment is not None and is_active(block.comment):
+                self._warn_at("a comment beside an O-word has no effect", Location(name, line, text))
             return False
         words = block.constant_words
         if words is None:
@@ -514,6 +515,9 @@ class Interpreter:
     def _assign(self, block: Block) -> None:
         """Parallel assignment: every value is read before the first is written."""
         parameters = self.parameters
+        for target, _, _ in block.assignments:
+            if type(target) is str and not parameters.has_named(target):
+                parameters.write_named(target, 0.0)  # as the peer: a name exists, as 0, in its own first value
         if len(block.assignments) == 1:
             target, node, offset = block.assignments[0]
             value = node if isinstance(node, float) else node(parameters)

@@ -63,6 +63,8 @@ class Parameters:
         """Value of #index."""
         if 5420 <= index <= 5428:
             axis = index - 5420
+            if axis < 2 and self.state.rotation is not None:
+                return self.state.rotation.back(self.state.position[0], self.state.position[1])[axis]
             return self.state.position[axis] if axis < 6 else 0.0
         if 5400 <= index <= 5413:
             return self._tool_parameter(index)

@@ -137,7 +137,7 @@ def parse_control(line: str) -> Block | None:
         _read_number(reader, block)
     if text[reader.position : reader.position + 1] != "o":
         return None
-    _read_oword(reader, block)
+    _read_oword(reader, block, skipped=True)
     return block
 
 
@@ -191,7 +191,7 @@ def _read_assignment(reader: ExpressionReader, block: Block) -> None:
     block.assignments.append((target, reader.value(), start))
 
 
-def _read_oword(reader: ExpressionReader, block: Block) -> None:
+def _read_oword(reader: ExpressionReader, block: Block, *, skipped: bool = False) -> None:
     text, start = reader.text, reader.position
     reader.position = start + 1
     label: str | Node
@@ -217,6 +217,18 @@ def _read_oword(reader: ExpressionReader, block: Block) -> None:
         return
     keyword = match.group()
     reader.position = match.end()
+    try:
+        arguments = _read_arguments(reader, keyword)
+    except GcodeError as fault:
+        if not skipped:
+            raise
+        block.oword = OWord(keyword, label, (), start, fault=fault)
+        return
+    block.oword = OWord(keyword, label, arguments, start)
+
+
+def _read_arguments(reader: ExpressionReader, keyword: str) -> tuple[Node, ...]:
+    text = reader.text
     arguments: list[Node] = []
     if keyword in _WITH_CONDITION:
         if text[reader.position : reader.position + 1] != "[":
@@ -234,7 +246,7 @@ def _read_oword(reader: ExpressionReader, block: Block) -> None:
             arguments.append(reader.bracketed())
     if reader.position < len(text):
         raise reader.fail("unexpected character after an O-word", "Put the rest on a line of its own.")
-    block.oword = OWord(keyword, label, tuple(arguments), start)
+    return tuple(arguments)
 
 
 def _analyse(block: Block) -> None:

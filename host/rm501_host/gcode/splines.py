@@ -107,9 +107,6 @@ def nurbs_point(ctx: Context, words: Words) -> None:
     end = end_point(ctx, words)
     nurbs.points.append((end[0], end[1]))
     nurbs.weights.append(words["p"])
-    before = ctx.machine_stands_at()
-    state.position = end
-    ctx.mark_unfollowed(before)
 
 
 def _bad_weight() -> None:
@@ -128,6 +125,11 @@ def nurbs_end(ctx: Context) -> None:
             f"{len(nurbs.points)} were given, the start included.",
         )
     state.nurbs = None
+    before = ctx.machine_stands_at()
+    end = state.position.copy()
+    end[0], end[1] = nurbs.points[-1]
+    state.position = end
+    ctx.mark_unfollowed(before)
     ctx.emit(
         NurbsFeed(
             tuple(nurbs.points),
