@@ -10,7 +10,6 @@ points of the thesis's program with the preset `real` and prints AP and RP after
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import random
 import subprocess
@@ -19,15 +18,13 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from rm501_host.config import load_config
 from rm501_host.motion import Progress
 from rm501_host.program_run import RunOptions, run_program
 from rm501_host.virtual_time import run_virtual
 from rm501_sim_board.emu_transport import running_board, shut_down
 from rm501_sim_board.presets import REAL_SERVOS
-from rm501_sim_board.traces import TruthTrace, truth_trace
+from rm501_sim_board.traces import truth_trace
 from rm501_sim_board.tuning import tuning_study
 
 ROOT = Path(__file__).parents[1]

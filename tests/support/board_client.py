@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from rm501_protocol.declaration import Message
 from rm501_protocol.enums import SegmentFlag
+from rm501_protocol.framing import PacketCodec
 from rm501_protocol.host_link import HostLink
 from rm501_protocol.link_events import Received, SessionOpened
 from rm501_protocol.messages import MotorTerm, Segment, SetPower, Start, Status, StatusRequest
@@ -20,7 +21,8 @@ class BoardClient:
 
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
-        self.link = HostLink(bytes_per_second=transport.bytes_per_second)
+        codec = PacketCodec() if transport.packets else None
+        self.link = HostLink(codec=codec, bytes_per_second=transport.bytes_per_second)
         self.messages: list[Message] = []
         self.lost: Exception | None = None
         self.closed = False
@@ -37,6 +39,7 @@ class BoardClient:
         self.lost, self.closed = exc, True
         if self._timer is not None:
             self._timer.cancel()
+        self._changed.set()
 
     async def open(self, nonce: int = 1) -> None:
         self.transport.start(self)
@@ -94,8 +97,10 @@ class BoardClient:
                 self.messages.append(event.message)
             elif isinstance(event, SessionOpened):
                 pass
-        data = self.link.data_to_send(now)
-        if data:
+        if self.transport.packets:
+            for packet in self.link.packets_to_send(now):
+                self.transport.write(packet)
+        elif data := self.link.data_to_send(now):
             self.transport.write(data)
         if self._timer is not None:
             self._timer.cancel()

@@ -1,0 +1,5 @@
+"""`python -m rm501_sim_board`: the command line."""
+
+from rm501_sim_board.cli import main
+
+main()
