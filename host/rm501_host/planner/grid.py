@@ -35,6 +35,8 @@ BEND_TOLERANCE = 0.001
 MARGIN = 2e-6
 """Relative distance kept from every limit, for rounding."""
 LIMIT_TOLERANCE_DEG = 1e-7
+CREEP_MM_S = 1e-5
+"""A path that has to be passed slower than this (0.3 nm from the waist axis) counts as one through the singularity."""
 _ROUNDS = 60
 _X_MOST = 1e14
 _JOINTS = ("waist", "shoulder", "elbow", "pitch", "roll")
@@ -149,6 +151,7 @@ class GridBuilder:
         element, start, stop = element[order], start[order], stop[order]
         ia, im, ib = ia[order], im[order], ib[order]
         bend, _, x_top = self._bends(rows, ia, im, ib, stop - start)
+        self._check_speeds(table, rows, element, start, ia, x_top)
         if self._check_limits:
             self._check_ranges(table, rows, element, start, stop, ia, im, ib)
         limit = np.maximum(self._bounds - 1.2 * bend, 0.5 * self._bounds)
@@ -206,7 +209,7 @@ class GridBuilder:
         """Bend of each limit (n, rows), relative bend of the rates (n,), squared-speed caps at both ends (2, n)."""
         speed_a, speed_m, speed_b = rows.speed[ia], rows.speed[im], rows.speed[ib]
         most = np.maximum(np.maximum(speed_a, speed_b), 1e-300)
-        rate_bend = 1.3 * np.abs(speed_m - 0.5 * (speed_a + speed_b)) + 0.4 * (speed_b - speed_a) ** 2 / most
+        rate_bend = 1.3 * np.abs(speed_m - 0.5 * (speed_a + speed_b)) + 0.45 * (speed_b - speed_a) ** 2 / most
         cap_a = 1.0 / np.maximum((speed_a + rate_bend).max(axis=1) ** 2, 1.0 / _X_MOST)
         cap_b = 1.0 / np.maximum((speed_b + rate_bend).max(axis=1) ** 2, 1.0 / _X_MOST)
         a0, am, a1 = rows.a[ia], rows.a[im], rows.a[ib]
@@ -226,6 +229,21 @@ class GridBuilder:
         )
         speed_bend = rate_bend.max(axis=1) * np.sqrt(x)
         return bend, speed_bend, np.stack((cap_a, cap_b))
+
+    def _check_speeds(
+        self, table: ElementTable, rows: _Rows, element: Indices, start: Array, ia: Indices, x_top: Array
+    ) -> None:
+        """Raise PlanError where the path could only be crept along: it runs through a singularity."""
+        slowest = int(np.argmin(x_top.min(axis=0)))
+        if float(x_top[:, slowest].min()) >= CREEP_MM_S**2:
+            return
+        raise PlanError(
+            "the path runs through a singularity, where the joints would have to jump",
+            source=table.elements[int(element[slowest])].source,
+            place_mm=float(start[slowest]),
+            q_deg=tuple(float(v) for v in rows.q_deg[ia[slowest]]),
+            remedy="pass it at a distance, or use a joint move (G0)",
+        )
 
     def _check_ranges(
         self,

@@ -143,15 +143,15 @@ def backward_pass(lines: IntervalLines, last_x: float, first: int = 0, stop: int
     y_caps = lines.y_cap.tolist()
     lowest = np.minimum.reduce
     y = last_x
-    reach[-1] = min(y, y_caps[stop - 1]) if stop > first else y
     for k in range(stop - 1, first - 1, -1):
         y = min(y, y_caps[k])
+        reach[k + 1 - first] = y
         if y >= peak_y[k]:
             y = peak_x[k]
         else:
             x = float(lowest(alpha[k] + beta[k] * y))
             y = min(max(x, 0.0), peak_x[k])
-        reach[k - first] = y
+    reach[0] = y
     return reach
 
 
