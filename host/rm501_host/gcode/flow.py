@@ -125,10 +125,6 @@ class Flow:
         if self.skip is Skip.DEFINITION:
             if keyword == "sub":
                 raise GcodeFlowError("nested subroutine definition", "End the first one with endsub before this one.")
-            if word.arguments and label == self.skip_label and ctx.peer_standalone:
-                # LinuxCNC 2.9 computes the result of a subroutine while it only defines it
-                ctx.parameters.return_value = evaluate(word.arguments[0], ctx.parameters)
-                ctx.parameters.value_returned = True
             if keyword == "endsub" and label == self.skip_label:
                 self._stop_skipping()
             return

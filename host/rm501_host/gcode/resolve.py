@@ -17,8 +17,6 @@ from rm501_host.gcode.errors import GcodeError, GcodeLimitError, GcodeUnsupporte
 from rm501_host.gcode.motion import PLANE_AXES, swept_angle
 from rm501_host.gcode.state import rotate
 
-MAX_SILENT_HEARTBEATS = 1000
-"""Heartbeats in a row before a program counts as looping for ever: ten million blocks without a move."""
 _ZERO = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -44,6 +42,8 @@ class ResolveOptions:
     on_log: Callable[[c.CanonCall], None] | None = None
     """Takes LogCall, PrintText and LOGCLOSE."""
     on_warning: Callable[[str, Location], None] | None = None
+    max_silent_heartbeats: int = 1000
+    """Heartbeats in a row before a program counts as looping for ever: ten million blocks without a move."""
 
 
 _PATH_MODES = {
@@ -316,11 +316,12 @@ def _user_move(call: c.UserMCode, source: mv.Source) -> ResolvedMove:
 def resolve(calls: Iterable[c.CanonCall], options: ResolveOptions | None = None) -> Iterator[ResolvedMove]:
     """Moves of a stream of calls, lazily. Raises GcodeError; what came before it has been yielded."""
     resolver = Resolver(options)
+    most = (options or ResolveOptions()).max_silent_heartbeats
     silent = 0
     for call in calls:
         if isinstance(call, c.Heartbeat):
             silent += 1
-            if silent > MAX_SILENT_HEARTBEATS:
+            if silent > most:
                 error = GcodeLimitError(
                     f"no move within {silent * call.blocks} blocks", "The program seems to loop for ever."
                 )
