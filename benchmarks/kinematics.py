@@ -157,8 +157,10 @@ def agreement(arm: Arm, robot: Any, q: FloatArray) -> list[tuple[str, float, str
     found = []
     worst_mm = worst_deg = 0.0
     contained = np.zeros(len(q), dtype=bool)
+    inside = np.zeros(len(q), dtype=int)
     for branch in Branch:
         solved, ok = arm.ik_batch(positions, pitch, q[:, 4], branch)
+        inside += ok
         if not ok.any():
             continue
         back, _ = arm.fk_batch(solved[ok])
@@ -171,6 +173,7 @@ def agreement(arm: Arm, robot: Any, q: FloatArray) -> list[tuple[str, float, str
     found.append(("FK(IK(x)), position", worst_mm, "mm"))
     found.append(("FK(IK(x)), pitch", worst_deg, "deg"))
     found.append(("IK(FK(q)) without q, regular", float((regular & ~contained).sum()), "of n"))
+    print(f"exactly one branch inside the limits: {(inside == 1).mean():.1%} of these poses")
     if robot is not None:
         far_mm = far_rotation = far_jacobian = 0.0
         jacobians = arm.jacobian_batch(q)
