@@ -41,5 +41,12 @@ unit: $(STAMP)   ## the tests, on both cores
 bench: $(STAMP)  ## every benchmark at its short setting
 	$(BIN)/python -m benchmarks
 
+docs: $(STAMP)   ## renew the parts of docs/ that come from the code, and the figures
+	$(BIN)/python -m rm501_protocol.documentation docs/protocol.md
+	for script in docs/figures/*.py; do $(BIN)/python $$script || exit 1; done
+
+model:           ## check the Promela model of the link (needs spin and a C compiler)
+	sh model/check.sh
+
 clean:           ## remove what the targets made
 	rm -rf $(VENV) build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
