@@ -44,7 +44,10 @@ def _inverse(arm: Arm, table: ElementTable, index: Indices, values: Array) -> tu
         chosen = task & (branches == branch)
         rows = slice(None) if chosen.all() else chosen
         y = values[rows]
-        q_deg[rows], ok[rows] = arm.ik_batch(y[:, :3], y[:, 3], y[:, 4], Branch(int(branch)))
+        found, _ = arm.ik_batch(y[:, :3], y[:, 3], y[:, 4], Branch(int(branch)))
+        q_deg[rows] = found
+        # outside the joint ranges is somebody else's question: here only whether there are angles at all
+        ok[rows] = ~np.isnan(found[:, 0])
     return q_deg, ok
 
 
