@@ -367,12 +367,13 @@ class Arm:
         least = np.inf
         for waist, pitch, roll in readings:
             result = self.ik(xyz, pitch, roll, (waist, *seed[1:]))
-            kept = []
-            for solution in result.solutions:
-                residual = rotations.angle_between_deg(wanted, self.fk(solution.q_deg).rotation)
-                least = min(least, residual)
-                if residual <= tolerance:
-                    kept.append(solution)
+            kept: list[IkSolution] = []
+            for side in (True, False):  # elbow up and down hold the tool alike
+                same = [solution for solution in result.solutions if solution.branch.is_front is side]
+                if same:
+                    residual = rotations.angle_between_deg(wanted, self.fk(same[0].q_deg).rotation)
+                    least = min(least, residual)
+                    kept += same if residual <= tolerance else []
             solutions += kept
             if kept or not result.solutions:
                 failures.append(result)

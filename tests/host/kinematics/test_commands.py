@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -11,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from rm501_host.config import load_config
-from rm501_host.kinematics import Arm
+from rm501_host.kinematics import Arm, KinematicsError
 from rm501_host.kinematics.commands import export_urdf_command, workspace_command
 from rm501_host.kinematics.urdf import urdf_text
 from tests.support.kinematics import random_joints, with_section
@@ -19,7 +20,8 @@ from tests.support.kinematics import random_joints, with_section
 CONFIG = load_config()
 ARM = Arm.from_config(CONFIG)
 TILTED = Arm.from_config(with_section(CONFIG, "tool", length_mm=20.0, offset_mm=(5.0, 8.0), tilt_deg=(15.0, -30.0)))
-APP = SimpleNamespace(config=CONFIG)
+APP = SimpleNamespace(config=CONFIG, json_output=False)
+APP_JSON = SimpleNamespace(config=CONFIG, json_output=True)
 JOINTS = ("waist", "shoulder", "elbow", "pitch", "roll")
 
 
@@ -79,15 +81,25 @@ def test_export_command_writes_a_file_or_stdout(tmp_path: Path) -> None:
     assert out.read_text("utf-8") == urdf_text(ARM.with_tool(25.0))
     result = CliRunner().invoke(export_urdf_command, [], obj=APP)
     assert result.stdout == urdf_text(ARM)
+    result = CliRunner().invoke(export_urdf_command, [], obj=APP_JSON)
+    assert json.loads(result.stdout) == {"urdf": urdf_text(ARM)}
+    result = CliRunner().invoke(export_urdf_command, ["--out", str(tmp_path / "no" / "arm.urdf")], obj=APP)
+    assert isinstance(result.exception, KinematicsError)
+    assert "cannot be written" in str(result.exception)
 
 
 def test_workspace_command_prints_numbers_and_draws(tmp_path: Path) -> None:
     out = tmp_path / "w.png"
     result = CliRunner().invoke(workspace_command, ["--out", str(out), "--step", "40"], obj=APP)
     assert result.exit_code == 0, result.output
-    assert "radius" in result.output and "down" in result.output
+    assert "radius" in result.output and "straight down" in result.output
     assert out.read_bytes().startswith(b"\x89PNG")
     assert out.stat().st_size > 20_000
+    result = CliRunner().invoke(workspace_command, ["--step", "40"], obj=APP_JSON)
+    report = json.loads(result.stdout)
+    assert report["any_pitch"]["radius_mm"][1] == pytest.approx(440.0, abs=41.0)
+    assert report["tool_down"]["radius_mm"][1] < report["any_pitch"]["radius_mm"][1]
+    assert report["picture"] is None
     result = CliRunner().invoke(workspace_command, ["--out", str(tmp_path / "w.xyz"), "--step", "80"], obj=APP)
     assert result.exit_code != 0
     assert "use .png" in str(result.exception)
