@@ -37,7 +37,7 @@ def workspace_command(options: _Options, out: Path | None, step_mm: float, tool_
 
     arm = Arm.from_config(options.config).with_tool(tool_length_mm)
     section = pictures.section_map(arm, step_mm)
-    anyhow = _extent(section, section.reachable.any(axis=2))
+    anyhow = _extent(section, np.asarray(section.reachable.any(axis=2)))
     if anyhow is None:
         raise KinematicsError("nothing is reachable; look at the joint limits and the link lengths")
     down = _extent(section, section.reachable[:, :, int(np.abs(section.pitch_deg).argmin())])
