@@ -26,6 +26,7 @@ from rm501_host.kinematics.solids import Capsules, Clearances, SolidRadii, capsu
 from rm501_host.kinematics.tracker import BranchTracker, TrackStatus, TrackStep
 from rm501_host.kinematics.velocity_control import ControlStep, VelocityController, default_damping
 from rm501_host.kinematics.velocity_inverse import Damping, DampingLaw, Weights
+from rm501_host.kinematics.workspace import WorkspaceMap, reachable_pitches, workspace_map
 
 __all__ = [
     "Arm",
@@ -60,7 +61,10 @@ __all__ = [
     "TrackStep",
     "VelocityController",
     "Weights",
+    "WorkspaceMap",
     "capsules",
     "clearances",
     "default_damping",
+    "reachable_pitches",
+    "workspace_map",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import importlib.util
 import inspect
 import pkgutil
 import subprocess
@@ -41,6 +42,25 @@ def test_examples_in_docstrings_run(name: str) -> None:
     """`arm` is the default arm, `np` numpy."""
     result = doctest.testmod(module, extraglobs={"arm": ARM, "np": np})
     assert result.failed == 0
+
+
+def test_examples_in_the_documentation_run() -> None:
+    result = doctest.testfile(str(CONFIGS.parent / "docs" / "kinematics.md"), module_relative=False)
+    assert result.attempted >= 7
+    assert result.failed == 0
+
+
+def test_figures_of_the_documentation_are_drawn_by_code(tmp_path: Path) -> None:
+    script = CONFIGS.parent / "docs" / "figures" / "kinematics.py"
+    spec = importlib.util.spec_from_file_location("kinematics_figures", script)
+    assert spec is not None and spec.loader is not None
+    figures = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(figures)
+    text = (CONFIGS.parent / "docs" / "kinematics.md").read_text("utf-8")
+    for name in ("frames", "branches", "singularities"):
+        getattr(figures, f"draw_{name}")(ARM, tmp_path / f"kinematics_{name}.png")
+        assert (tmp_path / f"kinematics_{name}.png").stat().st_size > 10_000
+        assert f"figures/kinematics_{name}.png" in text
 
 
 def test_some_examples_exist() -> None:
