@@ -43,6 +43,7 @@ def _list_faults(ctx: click.Context, param: click.Parameter, value: bool) -> Non
 @click.option("--can", metavar="URL", help="Listen on CAN: slcan:LINK (an adapter on a pty) or INTERFACE:CHANNEL.")
 @click.option("--preset", default="ideal", show_default=True, metavar="NAME", help="ideal, real or harsh.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="All chance follows from it.")
+@click.option("--pose", metavar="Q1,..,Q5", help="Joint angles at power-up, DH deg.  [default: -60,60,-60,45,0]")
 @click.option("--fault", multiple=True, metavar="SPEC", help="Something that goes wrong; may be repeated.")
 @click.option(
     "--list-faults", is_flag=True, is_eager=True, expose_value=False, callback=_list_faults, help="Show all faults."
@@ -68,6 +69,7 @@ def main(
     can: str | None,
     preset: str,
     seed: int,
+    pose: str | None,
     fault: tuple[str, ...],
     vcd: Path | None,
     trace: Path | None,
@@ -81,6 +83,7 @@ def main(
     from rm501_sim_board.emulator import EmulatorOptions
     from rm501_sim_board.errors import SimBoardError
     from rm501_sim_board.fault_spec import parse_fault
+    from rm501_sim_board.presets import at_pose
     from rm501_sim_board.presets import preset as find_preset
     from rm501_sim_board.running import RunOptions
     from rm501_sim_board.serve import REAL_TIME_TICK_S, ServeOptions, serve
@@ -93,7 +96,7 @@ def main(
     try:
         run = RunOptions(
             emulator=EmulatorOptions(
-                parameters=find_preset(preset), seed=seed, firmware=firmware, packets=can is not None
+                parameters=at_pose(find_preset(preset), pose), seed=seed, firmware=firmware, packets=can is not None
             ),
             baud=None if can is not None else baud or None,
             tick_s=REAL_TIME_TICK_S,

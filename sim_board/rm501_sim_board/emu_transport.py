@@ -3,6 +3,7 @@
     emu://                                    preset ideal, seed 0
     emu://?preset=real&seed=7                 the same with dynamics
     emu://?fault=stall:motor=elbow@2.5s       faults, any number of them
+    emu://?pose=-140,95,-85,10,-60            joint angles at power-up, DH deg
     emu://bench1?vcd=run.vcd&trace=run.npz    a named board; files are written when it ends
 
 A board ends with its transport. A named one lives on and is found again by its name until `shut_down(name)`; one whose
@@ -23,11 +24,11 @@ from rm501_sim_board.errors import BenchConfigError, SimBoardError
 from rm501_sim_board.fault_injection import FaultInjector, check_fault
 from rm501_sim_board.fault_spec import FaultSpec, parse_fault
 from rm501_sim_board.pacing import DEFAULT_BAUD, DEFAULT_TICK_S, PacedBoard
-from rm501_sim_board.presets import preset
+from rm501_sim_board.presets import at_pose, preset
 from rm501_sim_board.recording import DEFAULT_KEEP_WORDS
 from rm501_sim_board.running import RunningBoard, RunOptions
 
-_KEYS = ("preset", "seed", "baud", "record", "vcd", "trace", "firmware", "tick_ms", "fault")
+_KEYS = ("preset", "seed", "baud", "record", "vcd", "trace", "firmware", "tick_ms", "fault", "pose")
 _boards: WeakKeyDictionary[asyncio.AbstractEventLoop, dict[str, RunningBoard]] = WeakKeyDictionary()
 
 
@@ -50,7 +51,7 @@ def parse_url(url: str) -> tuple[str, RunOptions]:
     if firmware not in ("fast", "reference"):
         raise BenchConfigError(f"{url!r}: firmware is fast or reference, not {firmware!r}")
     emulator = EmulatorOptions(
-        parameters=preset(query.get("preset", "ideal")),
+        parameters=at_pose(preset(query.get("preset", "ideal")), query.get("pose")),
         seed=_integer(url, query, "seed", 0, 0),
         firmware=firmware,
         keep_words=_integer(url, query, "record", DEFAULT_KEEP_WORDS, 0),

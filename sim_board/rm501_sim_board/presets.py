@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from math import pi, radians
 
 from rm501_sim_board.errors import BenchConfigError
-from rm501_sim_board.geometry import PARKED_POSE_DEG, ArmGeometry, DriveTrain
+from rm501_sim_board.geometry import END_STOPS, PARKED_POSE_DEG, ArmGeometry, DriveTrain, Joint
 from rm501_sim_board.hand import HandParameters
 from rm501_sim_board.loads import ArmMasses
 from rm501_sim_board.plant import DEFAULT_COUNTER_LIMIT_STEPS
@@ -149,3 +149,22 @@ def preset(name: str) -> BenchParameters:
         return PRESETS[name]
     except KeyError:
         raise BenchConfigError(f"preset {name!r} is not known; use one of {', '.join(PRESETS)}") from None
+
+
+def at_pose(parameters: BenchParameters, text: str | None) -> BenchParameters:
+    """The same bench with the arm parked at five comma-separated joint angles; None leaves it where it is."""
+    if text is None:
+        return parameters
+    try:
+        angles = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        angles = ()
+    if len(angles) != len(END_STOPS):
+        raise BenchConfigError(f"pose {text!r}: give five joint angles in deg, as in -60,60,-60,45,0")
+    for joint, angle, stop in zip(Joint, angles, END_STOPS, strict=True):
+        if not stop.low_deg <= angle <= stop.high_deg:
+            raise BenchConfigError(
+                f"pose {text!r}: {joint.name.lower()} at {angle:g} deg is beyond its end stops "
+                f"({stop.low_deg:g} to {stop.high_deg:g})"
+            )
+    return replace(parameters, start_deg=angles)
