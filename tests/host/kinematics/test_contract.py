@@ -218,12 +218,16 @@ def test_joints_with_more_than_a_turn_take_the_turn_nearest_to_the_seed() -> Non
     result = solver.solve(300.0, 0.0, 200.0, 0.0, 0.0, None)
     assert result.best is not None
     assert abs(result.best.q_deg[0]) < 1e-9
-    narrow = replace(geometry, min_deg=(170.0, -30.0, -90.0, 0.0, -180.0), max_deg=(700.0, 100.0, 0.0, 180.0, 180.0),
-                     home_deg=(360.0, 100.0, -90.0, 0.0, 0.0))  # fmt: skip
+    high = replace(
+        geometry,
+        min_deg=(170.0, -30.0, -90.0, 0.0, -180.0),
+        max_deg=(900.0, 100.0, 0.0, 180.0, 180.0),
+        home_deg=(360.0, 100.0, -90.0, 0.0, 0.0),
+    )
     for near in (360.0, 720.0):
-        result = InverseSolver(narrow).solve(300.0, 10.0, 200.0, 0.0, 0.0, (near, 50.0, -50.0, 0.0, 0.0))
+        result = InverseSolver(high).solve(300.0, 10.0, 200.0, 0.0, 0.0, (near, 50.0, -50.0, 0.0, 0.0))
         assert result.best is not None
-        assert result.best.q_deg[0] == pytest.approx(360.0 + np.degrees(np.arctan2(10.0, 300.0)))
+        assert result.best.q_deg[0] == pytest.approx(near + np.degrees(np.arctan2(10.0, 300.0)))
 
 
 def test_the_roll_is_literal_and_the_reason_says_by_how_much() -> None:
