@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 @click.argument("program", type=click.Path(exists=True, dir_okay=False, readable=True, path_type=Path))
 @click.option("--tools", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="Tool table file.")
 @click.option(
-    "--vars", "variables", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="Variable file."
+    "--vars",
+    "variables",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Variable file; read if it exists, written at the end.",
 )
 @click.option("--block-delete", is_flag=True, help="Skip blocks that begin with a slash.")
 @click.option("--start-line", type=click.IntRange(min=1), default=1, show_default=True, help="Begin at this line.")

@@ -151,6 +151,8 @@ class Interpreter:
         """The canonical calls of the program, lazily. Raises GcodeError; what came before it has been yielded."""
         out = self._out
         self._prologue()
+        yield from out
+        out.clear()
         try:
             for _ in self._steps():
                 if out:

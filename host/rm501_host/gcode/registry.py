@@ -1,7 +1,7 @@
 """Every code of the dialect: modal group, support, and what differs from LinuxCNC 2.9.
 
 The parser takes the modal groups from here, the executor refuses from here, and `docs/gcode.md` is generated from
-here (`python -m rm501_host.gcode.registry`), so none of them can disagree.
+here, so none of them can disagree.
 """
 
 from __future__ import annotations
