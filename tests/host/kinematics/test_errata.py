@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.optimize import linprog
 
 from rm501_host.config import load_config
@@ -263,7 +264,7 @@ def test_e19_parabolic_blend() -> None:
     start, along, next_, v1, v2, dt = np.array((1.0, 2.0)), np.array((1.0, 0.0)), np.array((0.6, 0.8)), 10.0, 6.0, 0.4
     times = np.linspace(0.0, dt, 4001)
     velocity = (1 - times / dt)[:, None] * v1 * along + (times / dt)[:, None] * v2 * next_
-    end = start + np.trapezoid(velocity, times, axis=0)
+    end = start + trapezoid(velocity, times, axis=0)
     np.testing.assert_allclose(start + dt / 2 * (v1 * along + v2 * next_), end, atol=1e-9)
     assert np.abs(start + dt / 2 * v1 * along + v2 * next_ - end).max() > 1.0
 
