@@ -128,7 +128,7 @@ def test_a_malicious_speed_is_refused_within_the_range_of_the_field() -> None:
 
 def test_positions_stay_far_from_the_edge_of_their_range() -> None:
     rig = Rig()
-    near = (1 << 31) - (1 << 16) - 100
+    near = (1 << 31) - (1 << 16) - 1000
     rig.send(SetPositions(1, (near, 0, 0, 0, 0, 0)))
     rig.send(cruise(rig)[0])
     found = rig.refusal(Segment(2000, 20_000, (MotorTerm(0, SPEED),)))
