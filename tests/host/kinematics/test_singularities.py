@@ -258,6 +258,17 @@ def test_the_waist_stays_where_the_seed_has_it_on_the_axis() -> None:
     assert ARM.ik(on_axis, pose.pitch_deg, 0.0).best.q_deg[0] == ARM.home_deg[0]  # type: ignore[union-attr]
 
 
+def test_the_batch_takes_the_waist_that_is_given_on_the_axis() -> None:
+    pose = ARM.fk(WAIST_AXIS)
+    on_axis = np.tile((0.0, 0.0, float(pose.xyz_mm[2])), (3, 1))
+    waists = np.array((-120.0, 0.0, 77.0))
+    q, ok = ARM.ik_batch(on_axis, pose.pitch_deg, 0.0, waist_deg=waists)
+    assert ok.all()
+    np.testing.assert_array_equal(q[:, 0], waists)
+    np.testing.assert_allclose(ARM.fk_batch(q)[0], on_axis, atol=1e-9)
+    assert (ARM.ik_batch(on_axis, pose.pitch_deg, 0.0, waist_deg=33.0)[0][:, 0] == 33.0).all()
+
+
 def test_offset_tool_has_a_hole_around_the_waist_axis() -> None:
     result = OFFSET.ik((1.0, 2.0, 600.0), 150.0, 0.0)
     assert result.status is IkStatus.UNREACHABLE
