@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from rm501_host.config.schema import JOINT_NAMES
 from rm501_host.errors import RefusedError
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -43,11 +44,15 @@ def draw_program(
     space.set_aspect("equal")
     space.legend(loc="upper left")
     angles = figure.add_subplot(grid[0, 1])
-    angles.plot(time_s, joints_deg, label=JOINT_NAMES)
+    for joint, name in enumerate(JOINT_NAMES):
+        # joints often run in step (the roll with the waist): a dashed line shows the one below
+        angles.plot(time_s, joints_deg[:, joint], label=name, linestyle="-" if joint < len(JOINT_NAMES) - 1 else "--")
     angles.set(ylabel="joint angle, deg")
     angles.legend(loc="upper right", ncols=5, fontsize="small")
     rates = figure.add_subplot(grid[1, 1], sharex=angles)
-    rates.plot(time_s[1:], (joints_deg[1:] - joints_deg[:-1]) / (time_s[1:] - time_s[:-1])[:, None])
+    velocities_deg_s = np.diff(joints_deg, axis=0) / np.diff(time_s)[:, None]
+    for joint in range(len(JOINT_NAMES)):
+        rates.plot(time_s[1:], velocities_deg_s[:, joint], linestyle="-" if joint < len(JOINT_NAMES) - 1 else "--")
     rates.set(xlabel="time, s", ylabel="joint velocity, deg/s")
     for axes in (angles, rates):
         axes.grid(alpha=0.3)

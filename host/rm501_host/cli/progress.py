@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import linecache
 import sys
 from collections.abc import Iterator
 
@@ -72,7 +73,8 @@ def _bar() -> Iterator[Watcher]:
 
             def progress(self, progress: Progress) -> None:
                 source = progress.source
-                block = "" if source is None else f"line {source.line}: {source.block.strip()[:40]}"
+                text = "" if source is None else linecache.getline(source.file, source.line).strip()
+                block = "" if source is None else f"line {source.line}: {text[:40]}"
                 total = max(1, progress.planned_frames)
                 bar.update(task, completed=progress.played_frames, total=total, block=block)
 
