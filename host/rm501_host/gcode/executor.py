@@ -67,7 +67,7 @@ def resolve_motion(ctx: Context, block: Evaluated) -> None:
     motion = g.get(MOTION)
     if motion is not None:
         if motion == NO_MOTION:
-            if has_axes and not covets:
+            if has_axes and one_shot not in _AXIS_USERS:
                 raise GcodeModalError("cannot use axis values with G80", "Name a motion code.")
             if one_shot == 920 and not has_axes:
                 _all_axes_missing("G92")
