@@ -81,6 +81,9 @@ class BoardLink(LinkCore):
 
     # ------------------------------------------------------------------------------------- packets
 
+    def _send_first(self, out: list[bytes], now_us: int) -> None:
+        """Nothing of the board's goes past the pacing."""
+
     def _free_slots(self) -> int:
         return max(0, min(255, self.free_slots - self._undelivered_segments))
 

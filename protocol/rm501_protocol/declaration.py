@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from operator import attrgetter
@@ -19,7 +19,19 @@ from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 from .errors import DecodeError, FieldRangeError
 from .wire_types import Scalar, WireType
 
-__all__ = ["Direction", "Field", "Message", "decode_payload", "encode_payload", "fields_of", "message", "registry"]
+__all__ = [
+    "CustomPayload",
+    "Direction",
+    "Field",
+    "Message",
+    "decode_fieldwise",
+    "decode_payload",
+    "encode_payload",
+    "fields_of",
+    "message",
+    "misfits",
+    "registry",
+]
 
 
 class Direction(Enum):
@@ -168,19 +180,18 @@ def encode_payload(value: Message) -> bytes:
             else:
                 step.field.wire.encode(getattr(value, step.field.name), out)
     except (ValueError, struct.error):
-        _name_the_culprit(value)
-        raise
+        raise next(misfits(value)) from None
     return bytes(out)
 
 
-def _name_the_culprit(value: Message) -> None:
-    """Raise FieldRangeError for the first field of `value` that does not fit."""
+def misfits(value: Message) -> Iterator[FieldRangeError]:
+    """One error for every field of `value` that does not fit its wire type; nothing for a message that can be sent."""
     for field in fields_of(type(value)):
         item = getattr(value, field.name)
         try:
             field.wire.encode(item, bytearray())
         except ValueError as error:
-            raise FieldRangeError(type(value).__name__, field.name, item, str(error)) from None
+            yield FieldRangeError(type(value).__name__, field.name, item, str(error))
 
 
 def decode_payload(message_id: int, data: bytes) -> Message:
@@ -208,7 +219,7 @@ def decode_payload(message_id: int, data: bytes) -> Message:
             continue
         end = offset + step.packed.size
         if end > len(data):
-            return _decode_older(cls, data)
+            return decode_fieldwise(cls, data)
         part = step.packed.unpack_from(data, offset)
         offset = end
         if step.converters:
@@ -224,9 +235,11 @@ def decode_payload(message_id: int, data: bytes) -> Message:
     return cls(*values)
 
 
-def _decode_older(cls: type[Message], data: bytes) -> Message:
-    """Decode field by field: the payload ends before the last field, which is right only at the border of one with a
+def decode_fieldwise(cls: type[Message], data: bytes) -> Message:
+    """As `decode_payload`, one field after the other; also right for a payload that ends before fields with a
     default.
+
+    Raises DecodeError. Not for messages with a payload of their own.
     """
     offset = 0
     values: list[Any] = []

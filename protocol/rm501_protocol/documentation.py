@@ -205,6 +205,6 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "example": _example,
 }
 
-if __name__ == "__main__":
+if __name__ == "__main__":  # pragma: no cover - the command line
     path = Path(sys.argv[1])
     path.write_text(renew(path.read_text(encoding="utf-8")), encoding="utf-8")

@@ -12,6 +12,7 @@ what has left, and as much may be unacknowledged, so that a stop, which goes fir
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass
 from typing import ClassVar
@@ -70,7 +71,7 @@ class LinkStats:
     """Messages dropped because the user did not fetch events, or reports that found no room."""
 
 
-class LinkCore:
+class LinkCore(ABC):
     """Shared half of `HostLink` and `BoardLink`; not used by itself."""
 
     _FLAGS: ClassVar[int]
@@ -200,21 +201,26 @@ class LinkCore:
 
     # ------------------------------------------------------------------------------------- for the two ends
 
+    @abstractmethod
     def _send_first(self, out: list[bytes], now_us: int) -> None:
         """Append what goes ahead of everything and past the pacing."""
+        ...
 
     def _may_send_sequenced(self) -> bool:
         return self._open
 
+    @abstractmethod
     def _stamped(self, message: Message, now_us: int) -> Message:
         """`message` with stamps that belong to the moment of sending."""
-        return message
+        ...
 
     def _free_slots(self) -> int:
         return 0
 
+    @abstractmethod
     def _packet(self, header: Header, payload: bytes, now_us: int) -> None:
-        raise NotImplementedError
+        """Take a packet with a sound header that comes from the other side."""
+        ...
 
     def _put_unsequenced(self, message: Message) -> None:
         if isinstance(message, Status):

@@ -14,12 +14,11 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 from .declaration import CustomPayload, Direction, Message, message
 from .enums import EventKind, SegmentFlag
 from .errors import FieldRangeError
-from .wire_types import U8, U16, U32, Vector, WireType
 
 __all__ = ["MAX_EVENTS", "MAX_MOTORS", "MotorTerm", "Segment", "SegmentEvent", "hand_event", "output_event"]
 
@@ -78,32 +77,26 @@ def output_event(offset_frames: int, mask: int, levels: int) -> SegmentEvent:
     return SegmentEvent(offset_frames, EventKind.OUTPUT, (mask & 0xFF) << 8 | (levels & mask & 0xFF))
 
 
-class _MotorTerms(WireType):
-    """Documentation entry of the motor terms."""
-
-    unit = ""
-    doc = "per set bit of the motor mask, lowest first: v, a, and j with CUBIC"
-
-    @property
-    def wire_name(self) -> str:
-        return "s32 each"
-
-
 @message(0x20, Direction.TO_BOARD, sequenced=True)
 @dataclass(frozen=True, slots=True)
 class Segment(CustomPayload, Message):
     """Move every motor in `motors` by its polynomial for `length_frames` motion frames; all others stand still."""
 
-    start_frames: Annotated[int, U32("motion frames", "where the previous segment ended")]
-    length_frames: Annotated[int, U16("frames", "1..65535, 1..32767 when any j is not 0")]
-    motors: Annotated[tuple[MotorTerm, ...], _MotorTerms()] = ()
-    flags: Annotated[SegmentFlag, U8("", "see SegmentFlag")] = SegmentFlag.NONE
-    hold_slope: Annotated[int, U16("2^-20 rate/frame", "steepest change of rate in a hold")] = 0xFFFF
-    stop_slope: Annotated[int, U16("2^-20 rate/frame", "steepest change of rate in a stop")] = 0xFFFF
-    events: Annotated[
-        tuple[SegmentEvent, ...], Vector(U8(), MAX_EVENTS, doc="offset_frames u16, kind u8, value s16 or u16")
-    ] = ()
-    real_frame: Annotated[int, U32("real frames", "with START_AT_REAL_FRAME: not before")] = 0
+    start_frames: int
+    """Motion frame (u32) where the previous segment ended."""
+    length_frames: int
+    """1..65535; 1..32767 when any j is not 0."""
+    motors: tuple[MotorTerm, ...] = ()
+    """In rising order of motor, each once."""
+    flags: SegmentFlag = SegmentFlag.NONE
+    hold_slope: int = 0xFFFF
+    """Steepest change of rate in a hold, u16, 2^-20 of rate per real frame."""
+    stop_slope: int = 0xFFFF
+    """The same in a stop."""
+    events: tuple[SegmentEvent, ...] = ()
+    """At most MAX_EVENTS."""
+    real_frame: int = 0
+    """With START_AT_REAL_FRAME: real frame (u32) before which it must not start."""
 
     LAYOUT: ClassVar[str] = _LAYOUT
 

@@ -178,5 +178,5 @@ def load_vectors() -> dict[str, Any]:
     return loaded
 
 
-if __name__ == "__main__":
+if __name__ == "__main__":  # pragma: no cover - the command line
     print(json.dumps(make_vectors(), indent=1))  # noqa: T201

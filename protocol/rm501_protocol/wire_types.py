@@ -61,8 +61,10 @@ class Scalar(WireType):
 
     def encode(self, value: Any, out: bytearray) -> None:
         """Append the integer."""
+        if not isinstance(value, int):
+            raise ValueError(f"an integer {self.minimum}..{self.maximum}")
         try:
-            out += int(value).to_bytes(self.SIZE, "little", signed=self.SIGNED)
+            out += value.to_bytes(self.SIZE, "little", signed=self.SIGNED)
         except OverflowError:
             raise ValueError(f"{self.minimum}..{self.maximum}") from None
 

@@ -11,7 +11,18 @@ from hypothesis import strategies as st
 
 from rm501_protocol import messages
 from rm501_protocol.config_pages import MotorLimits
-from rm501_protocol.declaration import Direction, Message, decode_payload, encode_payload, fields_of, message, registry
+from rm501_protocol.declaration import (
+    CustomPayload,
+    Direction,
+    Message,
+    decode_fieldwise,
+    decode_payload,
+    encode_payload,
+    fields_of,
+    message,
+    misfits,
+    registry,
+)
 from rm501_protocol.documentation import SECTIONS, renew
 from rm501_protocol.errors import DecodeError, FieldRangeError
 from rm501_protocol.framing import PacketCodec, StreamCodec
@@ -35,7 +46,7 @@ from rm501_protocol.messages import (
 from rm501_protocol.segment import motor_extremes, motor_state_at
 from rm501_protocol.segment_message import EventKind
 from rm501_protocol.test_vectors import load_vectors, make_vectors
-from rm501_protocol.wire_types import S8, S16, S80, U8, Bool, Record, Scalar, Text, Vector
+from rm501_protocol.wire_types import S8, S16, S80, U8, Bool, Record, Scalar, Text, Vector, WireType
 from tests.protocol.examples import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
@@ -233,6 +244,8 @@ def test_wire_types_know_their_ranges_and_names() -> None:
     assert Vector(S80(), 3).wire_name == "u8 count, then count x s80 (at most 3)"
     assert Record(Hello, (("nonce", U8()),)).wire_name == "(nonce u8)"
     assert Text(5).wire_name == "u8 length, then UTF-8 (at most 5 bytes)"
+    with pytest.raises(ValueError, match="ends early"):
+        Text(5).decode(b"", 0)
     for wire in (U8(), Bool()):
         with pytest.raises(ValueError):
             wire.encode(300, bytearray())
@@ -287,3 +300,29 @@ def test_the_document_is_the_one_that_the_declarations_give() -> None:
         assert f"<!-- generated: {section} -->" in text
     for cls in registry().values():
         assert f" {cls.__name__} (" in text
+
+
+@every_example
+def test_both_decoders_agree_and_nothing_of_an_example_is_a_misfit(value: Message) -> None:
+    if isinstance(value, CustomPayload):
+        return
+    assert decode_fieldwise(type(value), encode_payload(value)) == value
+    assert list(misfits(value)) == []
+
+
+def test_every_misfit_is_listed() -> None:
+    found = list(misfits(Hello("x", 300, 1)))  # type: ignore[arg-type]
+    assert [error.field for error in found] == ["nonce", "major"]
+    with pytest.raises(FieldRangeError, match="an integer"):
+        encode_payload(SetPositions(1.5, ()))  # type: ignore[arg-type]
+
+
+def test_bases_are_not_usable_by_themselves() -> None:
+    for use in (
+        lambda: WireType().encode(1, bytearray()),
+        lambda: WireType().decode(b"", 0),
+        lambda: CustomPayload().encode_into(bytearray()),
+        lambda: CustomPayload.decode_from(b""),
+    ):
+        with pytest.raises(NotImplementedError):
+            use()

@@ -34,6 +34,7 @@ from rm501_protocol.messages import (
     Ack,
     BoardState,
     ClockQuery,
+    ClockReply,
     FaultCode,
     HandState,
     Hello,
@@ -686,6 +687,34 @@ def test_a_resend_waits_for_the_line() -> None:
     assert [header_of(packet).message_id for packet in scene.from_board()] == [Status.ID]
     scene.now_us = scene.board.next_deadline_us() or 0
     assert [header_of(packet).message_id for packet in scene.from_board()] == [Truncated.ID]
+
+
+def test_an_acknowledgement_that_comes_after_the_timeout_still_counts() -> None:
+    scene = Scene().connect()
+    for number in range(3):
+        scene.host.send(segment(number))
+    scene.to_board(scene.from_host())
+    late = scene.from_board()
+    scene.now_us += RTO_MAX_US
+    scene.host.handle_timer(scene.now_us)
+    scene.to_host(late)
+    assert scene.host.unacknowledged == 0
+    assert [header_of(packet).message_id for packet in scene.from_host()] == [ClockQuery.ID], "nothing is sent again"
+
+
+def test_what_waits_without_a_sequence_is_bounded_and_only_the_newest_status_kept() -> None:
+    scene = Scene(bytes_per_second=1000).connect()
+    for _ in range(40):
+        scene.host.send(StatusRequest())
+    assert scene.host.stats.overruns == 25, "16 are kept of 40 and of the clock query that waited"
+    for number in range(5):
+        scene.to_board([scene.raw(ClockQuery(number), from_board=False)])
+        scene.board.send(Status(*_status_fields()[:-1], number))
+    kept = []
+    while len(kept) < 6:
+        kept += [header_of(packet).message_id for packet in scene.from_board()]
+        scene.now_us += 100_000
+    assert kept.count(Status.ID) == 1 and kept.count(ClockReply.ID) == 5
 
 
 def test_silence_is_reported_once_and_its_end_too() -> None:

@@ -245,7 +245,7 @@ class LinkMachine(RuleBasedStateMachine):
 
 TestLink = LinkMachine.TestCase
 TestLink.settings = settings(
-    max_examples=400,
+    max_examples=150,
     stateful_step_count=40,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
