@@ -1,4 +1,4 @@
-"""Velocity control of the tool through singularities: what a jog in world or tool axes needs.
+"""Velocity control of the tool through singularities: for commands that cannot be planned ahead (joystick, sensor).
 
 Every step: weigh the task Jacobian, damp it, then shorten the joint rates as a whole until no joint and no motor is
 above its limit. Shortening keeps the direction in joint space, so the tool slows down rather than leaving its way.
