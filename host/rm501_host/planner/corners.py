@@ -82,7 +82,11 @@ class CornerMaker:
         theta = pi
         if moving:
             theta = _angle(end_slope[:3], start_slope[:3])
+            if theta > SHARPEST_RAD:
+                return None
             corner = self._rounded(first, second, tolerance_mm)
+        if corner is None and same and _angle(end_slope, start_slope) > SHARPEST_RAD:
+            return None
         if corner is None:
             corner = self._cubic(first, second, tolerance_mm)
         if corner is None:

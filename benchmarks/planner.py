@@ -1,0 +1,263 @@
+"""Planning against its bounds: time-optimality, legality, speed, memory.
+
+    python -m benchmarks.planner [--n LINES]
+
+Motion times stand beside the time-optimal bounds (and beside toppra's on the same grid of joint positions, where
+toppra is installed). The spiral's own bound is the law of the ideal spiral (a smooth curve through its points) on a
+grid four times as fine; legality comes from differences of 1 ms samples. `--n` sets the length of the long program
+(default 20,000 lines; 1e5 in full): CPU to the first segment, planning speed, memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from itertools import islice
+from math import cos, sin
+
+import numpy as np
+
+import rm501_host.planner.grid as grid_module
+from rm501_host.config import load_config
+from rm501_host.gcode import Interpreter, TextLines, resolve
+from rm501_host.kinematics import Arm
+from rm501_host.moves import Feed, LinearMove, Move, Source
+from rm501_host.planner import Plan, Planner
+from rm501_host.planner.elements import Element, Space
+from rm501_host.planner.grid import GridBuilder
+from rm501_host.planner.limits import Limits
+from rm501_host.planner.window import Window
+from rm501_host.preflight import ProgramCheck
+from rm501_host.segmenter import Segmenter
+from rm501_host.segmenter.fit import to_q48
+from tests.host.planner.programs import (
+    PICK_START_DEG,
+    POLYLINE_START_DEG,
+    mode,
+    pick_and_place,
+    polyline,
+)
+from tests.support.plan_checker import judge_samples
+
+CONFIG = load_config()
+ARM = Arm.from_config(CONFIG)
+LIMITS = Limits.from_config(CONFIG)
+
+CASES: tuple[tuple[str, Callable[[], list[Move]], tuple[float, ...], float, float], ...] = (
+    ("pick and place F2800 G61.1", lambda: pick_and_place(2800, None), PICK_START_DEG, 35.5, 36.2),
+    ("pick and place F6000 G61.1", lambda: pick_and_place(6000, None), PICK_START_DEG, 23.9, 24.4),
+    ("pick and place F2800 P0.5", lambda: pick_and_place(2800, 0.5), PICK_START_DEG, 35.5, 35.5),
+    ("pick and place F2800 P5", lambda: pick_and_place(2800, 5.0), PICK_START_DEG, 35.5, 35.5),
+    ("pick and place F6000 P0.5", lambda: pick_and_place(6000, 0.5), PICK_START_DEG, 23.9, 23.9),
+    ("pick and place F6000 P5", lambda: pick_and_place(6000, 5.0), PICK_START_DEG, 23.9, 23.9),
+    ("polyline A, stopping", lambda: polyline(None), POLYLINE_START_DEG, 13.853, 14.13),
+    ("polyline A, 5 mm blends", lambda: polyline(2.0711), POLYLINE_START_DEG, 12.817, 13.07),
+)
+
+
+def spiral_points(count: int) -> list[tuple[float, float]]:
+    """Points 0.2 mm apart on a spiral about (300, 0), radius 10 to 36 mm."""
+    points, angle = [(310.0, 0.0)], 0.0
+    for i in range(count):
+        radius = 10.0 + 26.0 * i / count
+        angle += 0.2 / radius
+        points.append((round(300.0 + radius * cos(angle), 4), round(radius * sin(angle), 4)))
+    return points
+
+
+def spiral(count: int) -> list[Move]:
+    """The spiral as lines at F6000, G64 P0.5."""
+    moves: list[Move] = [mode(0.5)]
+    for line, (x, y) in enumerate(spiral_points(count)[1:], 3):
+        moves.append(LinearMove((x, y, 150.0, 0.0, 0.0, 0.0), Feed(6000.0), Source("spiral.ngc", line)))
+    return moves
+
+
+class _Smooth:
+    """A natural-looking curve through points by local cubic splines (scipy), as the bound's path."""
+
+    def __init__(self, points: np.ndarray) -> None:
+        from scipy.interpolate import CubicSpline
+
+        chord = np.concatenate((np.zeros(1), np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+        kept = np.unique(np.append(np.arange(0, len(chord), 10), len(chord) - 1))
+        self.length = float(chord[-1])
+        self._spline = CubicSpline(chord[kept], points[kept])
+
+    def evaluate(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rows = []
+        for order in range(3):
+            row = np.zeros((len(s), 5))
+            row[:, :2] = self._spline(s, order)
+            row[:, 2] = 150.0 if order == 0 else 0.0
+            rows.append(row)
+        return rows[0], rows[1], rows[2]
+
+
+def spiral_bound_s(count: int) -> float:
+    """Time of the ideal spiral under the same limits, on a finer grid."""
+    smooth = _Smooth(np.array(spiral_points(count)))
+    first, most = grid_module.LONGEST_INTERVAL_MM, grid_module.MOST_FIRST_INTERVALS
+    grid_module.LONGEST_INTERVAL_MM, grid_module.MOST_FIRST_INTERVALS = 0.1, 1_000_000
+    try:
+        window = Window(ARM, GridBuilder(ARM, LIMITS), 320e-6)
+        element = Element(
+            Space.TASK, smooth.length, np.zeros((4, 5)), Source("bound", 0), feed_mm_s=100.0, curve=smooth
+        )
+        window.extend([element])
+        stretch = window.finish()
+    finally:
+        grid_module.LONGEST_INTERVAL_MM, grid_module.MOST_FIRST_INTERVALS = first, most
+    assert stretch is not None
+    return stretch.law.duration_s
+
+
+def toppra_s(plan: Plan) -> float | None:
+    """toppra's time over the same joint path, piece by piece; joint limits only, no feed. None without toppra."""
+    try:
+        import toppra
+        import toppra.algorithm as algorithm
+        import toppra.constraint as constraint
+    except ImportError:
+        return None
+    toppra.setup_logging("ERROR")
+    total = 0.0
+    for piece in plan.pieces:
+        if piece.law is None:
+            continue
+        q = piece.q_deg(np.linspace(0.0, piece.duration_s, 400))
+        way = np.concatenate((np.zeros(1), np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))))
+        keep = np.concatenate((np.array([True]), np.diff(way) > 1e-9))
+        path = toppra.SplineInterpolator(way[keep], q[keep])
+        limits = [
+            constraint.JointVelocityConstraint(
+                np.stack((-LIMITS.joint_velocity_deg_s, LIMITS.joint_velocity_deg_s), 1)
+            ),
+            constraint.JointAccelerationConstraint(
+                np.stack((-LIMITS.joint_acceleration_deg_s2, LIMITS.joint_acceleration_deg_s2), 1)
+            ),
+        ]
+        law = algorithm.TOPPRA(limits, path).compute_trajectory(0, 0)
+        if law is None:
+            return None
+        total += float(law.duration)
+    return total
+
+
+def run_cases() -> bool:
+    """The table of motion times; whether all hold."""
+    good = True
+    print(f"{'case':30} {'motion s':>9} {'bound s':>9} {'target s':>9} {'worst ratio':>12} {'toppra s':>9}")
+    for name, moves, start, bound, target in CASES:
+        plan = Plan(ARM, CONFIG, Planner(ARM, CONFIG, start).plan(moves()))
+        samples = plan.sample()
+        worst = judge_samples(CONFIG, samples.t_s, samples.q_deg).worst
+        peer = toppra_s(plan)
+        fine = plan.motion_s <= target and worst <= 1.0 + 1e-6
+        good &= fine
+        told = f"{peer:9.3f}" if peer is not None else f"{'-':>9}"
+        mark = "" if fine else "  MISSED"
+        print(f"{name:30} {plan.motion_s:9.3f} {bound:9.3f} {target:9.3f} {worst:12.6f} {told}{mark}")
+    return good
+
+
+def run_spiral(count: int) -> bool:
+    """Time against the spiral's own bound, planning speed; whether both hold."""
+    moves = spiral(count)
+    start = ARM.ik((310.0, 0.0, 150.0), 0.0, 0.0).best
+    assert start is not None
+    before = time.process_time()
+    plan = Plan(ARM, CONFIG, Planner(ARM, CONFIG, start.q_deg).plan(moves))
+    cpu = time.process_time() - before
+    samples = plan.sample()
+    worst = judge_samples(CONFIG, samples.t_s, samples.q_deg).worst
+    bound = spiral_bound_s(count)
+    speed = plan.motion_s / cpu
+    fine = plan.motion_s <= 1.03 * bound and worst <= 1.0 + 1e-6 and speed >= 10.0
+    print(
+        f"spiral of {count} lines: {plan.motion_s:.3f} s, its own bound {bound:.3f} s "
+        f"({100 * (plan.motion_s / bound - 1):+.2f} %), worst ratio {worst:.6f}; planned at {speed:.1f} x real time, "
+        f"{count / cpu:.0f} lines/s{'' if fine else '  MISSED'}"
+    )
+    return fine
+
+
+def long_program(lines: int) -> str:
+    """A program of tiny lines on a spiral that goes in and out."""
+    rows = ["G21 G90 G94", "G64 P0.5", "F6000"]
+    points = spiral_points(5000)
+    order = points + points[::-1]
+    for i in range(lines):
+        x, y = order[i % len(order)]
+        rows.append(f"G1 X{x:.4f} Y{y:.4f} Z150 A0 B0")
+    return "\n".join([*rows, "M2", ""])
+
+
+def run_long(lines: int) -> bool:
+    """CPU to the first segment, planning speed and memory of a long program; whether they hold."""
+    text = long_program(lines)
+    start = ARM.ik((310.0, 0.0, 150.0), 0.0, 0.0).best
+    assert start is not None
+
+    def moves() -> Iterator[Move]:
+        interpreter = Interpreter(TextLines(text, "long.ngc"))
+        interpreter.set_position(ARM.program_from_joints(start.q_deg))
+        return resolve(interpreter.calls())  # type: ignore[return-value]  # no external actions in this program
+
+    before = time.process_time()
+    report = ProgramCheck(ARM, CONFIG, start.q_deg).run(moves(), estimate=False)
+    checked = time.process_time() - before
+    before = time.process_time()
+    positions = [*map(to_q48, ARM.motors_from_joints(start.q_deg).tolist()), 0]
+    planner = Planner(ARM, CONFIG, start.q_deg)
+    next(iter(Segmenter(CONFIG, positions, 0).segments(planner.plan(moves()))))
+    first = time.process_time() - before
+    rolling = first + _rolling_check_s(moves, start.q_deg)
+    part = min(lines, 12_000)
+    tracemalloc.start()
+    before = time.process_time()
+    pieces = Planner(ARM, CONFIG, start.q_deg).plan(islice(moves(), part))
+    early = late = seconds = 0.0
+    for number, piece in enumerate(pieces):
+        seconds += piece.motion_s
+        now = tracemalloc.get_traced_memory()[0] / 1e6
+        early, late = (max(early, now), late) if number < 20 else (early, max(late, now))
+    cpu = time.process_time() - before
+    tracemalloc.stop()
+    flat = late <= early + 4.0
+    fine = report.ok and rolling <= 5.0 and flat
+    print(
+        f"program of {lines} lines: whole preflight {checked:.2f} s CPU ({lines / checked:.0f} lines/s); with the "
+        f"rolling check {rolling:.2f} s CPU to the first segment (target 5)"
+    )
+    print(
+        f"  planned {part} lines in {cpu:.1f} s CPU (with memory tracing), {seconds / cpu:.1f} x real time; memory "
+        f"{early:.1f} MB in the first pieces, {late:.1f} MB at most after them{'' if fine else '  MISSED'}"
+    )
+    return fine
+
+
+def _rolling_check_s(moves: Callable[[], Iterator[Move]], start_deg: tuple[float, ...]) -> float:
+    """CPU of checking the first 5,000 moves, which the rolling check does before the start."""
+    before = time.process_time()
+    ProgramCheck(ARM, CONFIG, start_deg).run(moves(), max_moves=5000, estimate=False)
+    return time.process_time() - before
+
+
+def main() -> int:
+    """Print the tables; 1 when a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--n", type=float, default=20_000, help="lines of the long program, such as 1e5")
+    options = parser.parse_args()
+    good = run_cases()
+    good &= run_spiral(5000)
+    good &= run_long(int(options.n))
+    print("planner: every target met" if good else "planner: TARGETS MISSED")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
