@@ -236,17 +236,19 @@ class SelectTool:
 
 @dataclass(frozen=True, slots=True)
 class ChangeTool:
-    """M6."""
+    """M6; `index` is the tool's place in the table, from 1 (0 without a tool)."""
 
     tool: int
+    index: int
     at: Location
 
 
 @dataclass(frozen=True, slots=True)
 class ChangeToolNumber:
-    """M61."""
+    """M61; `index` is the tool's place in the table, from 1 (0 without a tool)."""
 
     tool: int
+    index: int
     at: Location
 
 
@@ -260,9 +262,9 @@ class UseToolLengthOffset:
 
 @dataclass(frozen=True, slots=True)
 class SetToolTableEntry:
-    """G10 L1: `offset` in machine units."""
+    """G10 L1: `offset` in machine units; `index` is the tool's place in the table, from 1, or 0 for the spindle."""
 
-    pocket: int
+    index: int
     tool: int
     offset: Axes
     diameter: float

@@ -36,7 +36,7 @@ def _output_value(call: c.SetOutputValue) -> str:
 def _tool_entry(call: c.SetToolTableEntry) -> str:
     offset = " ".join(f"{v:.4f}" for v in call.offset)
     return (
-        f"SET_TOOL_TABLE_ENTRY({call.pocket}, {call.tool}, {offset} 0.0000 0.0000 0.0000, "
+        f"SET_TOOL_TABLE_ENTRY({call.index}, {call.tool}, {offset} 0.0000 0.0000 0.0000, "
         f"{call.front_angle_deg:.4f}, {call.back_angle_deg:.4f}, {call.orientation})"
     )
 
@@ -63,8 +63,8 @@ _TEXT: dict[type, Callable[[Any], str]] = {  # Any: each entry takes the class i
     c.SetMotionControlMode: _motion_mode,
     c.SetNaivecamTolerance: lambda k: f"SET_NAIVECAM_TOLERANCE({k.tolerance:.4f})",
     c.SelectTool: lambda k: f"SELECT_TOOL({k.tool})",
-    c.ChangeTool: lambda k: f"CHANGE_TOOL({k.tool})",
-    c.ChangeToolNumber: lambda k: f"CHANGE_TOOL_NUMBER({k.tool})",
+    c.ChangeTool: lambda k: f"CHANGE_TOOL({k.index})",
+    c.ChangeToolNumber: lambda k: f"CHANGE_TOOL_NUMBER({k.index})",
     c.UseToolLengthOffset: _tool_offset,
     c.SetToolTableEntry: _tool_entry,
     c.SetSpindleSpeed: lambda k: f"SET_SPINDLE_SPEED(0, {k.speed:.4f})",

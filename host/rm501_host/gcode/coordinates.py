@@ -225,13 +225,14 @@ def _g10_tool(ctx: Context, words: Words) -> None:
     if "r" in words:
         diameter = 2.0 * words["r"] / state.to_program
     tool = ctx.tools.set_offset(number, as_axes(offset), diameter)
-    loaded = number == state.tool_in_spindle
+    loaded = number == state.current_tool
     if ctx.peer_standalone and state.current_tool == 0:
         loaded = number == 1  # its table starts with tool 1 in the spindle's pocket
     front, back = words.get("i", 0.0), words.get("j", 0.0)
     orientation = to_integer(words.get("q", 0.0), "Q, the orientation")
-    for pocket in (tool.pocket, 0) if loaded else (tool.pocket,):
-        ctx.emit(SetToolTableEntry(pocket, tool.number, tool.offset, tool.diameter, front, back, orientation, ctx.at))
+    place = ctx.tools.index(number)
+    for index in (place, 0) if loaded else (place,):
+        ctx.emit(SetToolTableEntry(index, tool.number, tool.offset, tool.diameter, front, back, orientation, ctx.at))
 
 
 # -- tool length
@@ -242,7 +243,7 @@ def tool_length(ctx: Context, code: int, words: Words) -> None:
     state = ctx.state
     offset = [0.0] * 6
     if code == 430:
-        number = to_integer(words["h"], "H, the tool number") if "h" in words else state.tool_in_spindle
+        number = to_integer(words["h"], "H, the tool number") if "h" in words else state.current_tool
         offset = _table_offset(ctx, number)
     elif code == 431:
         offset = state.tool_offset.copy()
@@ -268,6 +269,7 @@ def tool_length(ctx: Context, code: int, words: Words) -> None:
 def _use_tool_offset(ctx: Context, offset: list[float]) -> None:
     state = ctx.state
     before = ctx.machine_stands_at().copy()
+    state.tool_unplaced = not ctx.peer_standalone and (state.tool_unplaced or offset != state.tool_offset)
     machine = state.machine_position(state.position)
     state.tool_offset = offset
     state.position = state.program_position(machine)
@@ -309,7 +311,9 @@ def go_home(ctx: Context, code: int, words: Words) -> None:
 def store_home(ctx: Context, code: int) -> None:
     """G28.1, G30.1: the stored position is the current one, in machine coordinates."""
     machine = ctx.state.machine_position(ctx.state.position)
-    ctx.parameters.store_axes(G28 if code == 281 else G30, machine)
+    first = G28 if code == 281 else G30
+    ctx.parameters.store_axes(first, machine)
+    ctx.parameters.numbered[first + 6 : first + 9] = (0.0, 0.0, 0.0)
 
 
 # -- G68, G69

@@ -53,6 +53,7 @@ class FastPath:
             or not state.absolute
             or state.inverse_time
             or state.rotation is not None
+            or state.tool_unplaced
             or len(text) > MAX_LINE_CHARACTERS
         ):
             return False

@@ -335,7 +335,7 @@ class Interpreter:
         emit_rotation(ctx)
         if state.current_tool:
             out.append(c.SelectTool(state.current_tool, at))
-            out.append(c.ChangeTool(state.current_tool, at))
+            out.append(c.ChangeTool(state.current_tool, ctx.tools.index(state.current_tool), at))
         if any(state.tool_offset):
             out.append(c.UseToolLengthOffset(as_axes(state.tool_offset), at))
         out.append(c.SetFeedRate(state.feed, at))

@@ -81,7 +81,7 @@ def _tool(ctx: Context, code: int, words: Words) -> None:
     if code == 6:
         _signal(ctx, c.Signal.START_CHANGE)
         _signal(ctx, c.Signal.STOP_SPINDLE_TURNING)
-        ctx.emit(c.ChangeTool(state.selected_tool, ctx.at))
+        ctx.emit(c.ChangeTool(state.selected_tool, ctx.tools.index(state.selected_tool), ctx.at))
         state.current_tool = state.tool_in_spindle = state.selected_tool
         ctx.resynchronise()
         return
@@ -90,7 +90,7 @@ def _tool(ctx: Context, code: int, words: Words) -> None:
         raise GcodeModalError("need non-negative Q-word to specify tool number with M61", "Q is the tool.")
     if ctx.tools.get(number) is None:
         raise GcodeModalError(f"requested tool {number} not found in the tool table", "Add it, or check the number.")
-    ctx.emit(c.ChangeToolNumber(number, ctx.at))
+    ctx.emit(c.ChangeToolNumber(number, ctx.tools.index(number), ctx.at))
     ctx.resynchronise()
     state.current_tool = number
     if not ctx.peer_standalone:

@@ -45,9 +45,19 @@ def as_axes(values: list[float]) -> Axes:
     return (x, y, z, a, b, c)
 
 
+def _place_tool(ctx: Context, words: Words) -> None:
+    """After a change of tool length only a move that names X, Y and Z is certain about where an arm's tool goes."""
+    state = ctx.state
+    if not (state.absolute and all(axis in words for axis in "xyz")):
+        ctx.warn("the first move after a change of tool length does not name X, Y and Z: they are only what they were")
+    state.tool_unplaced = False
+
+
 def end_point(ctx: Context, words: Words, *, machine_coordinates: bool = False) -> list[float]:
     """The target of a move in canonical coordinates. Raises GcodeModalError for bad polar words."""
     state = ctx.state
+    if state.tool_unplaced:
+        _place_tool(ctx, words)
     position = state.position
     if machine_coordinates:
         machine = state.machine_position(position)

@@ -85,6 +85,8 @@ class State:
     tool_in_spindle: int = 0
     """The tool whose data the parameters #5400 show."""
     tool_offset_active: bool = False
+    tool_unplaced: bool = False
+    """A tool length has changed and no move has named X, Y and Z since (see docs/gcode.md, After G43 on an arm)."""
     cycle: CycleWords | None = None
     spline_tangent: tuple[float, float] | None = None
     nurbs: NurbsInProgress | None = None

@@ -45,6 +45,15 @@ class ToolTable:
             return self._tools.get(0, Tool(0, 0))
         return self._tools.get(number)
 
+    def index(self, number: int) -> int:
+        """Place of a tool in the table, from 1; 0 for tool 0. Raises KeyError for an unknown tool."""
+        if number == 0:
+            return 0
+        for place, known in enumerate(self._tools, 1):
+            if known == number:
+                return place
+        raise KeyError(number)
+
     def set_offset(self, number: int, offset: tuple[float, float, float, float, float, float], diameter: float) -> Tool:
         """Change one tool's data (G10 L1); the tool must exist."""
         tool = replace(self._tools[number], offset=offset, diameter=diameter)

@@ -16,6 +16,7 @@ from rm501_host.gcode import (
     GcodeParameterError,
     GcodeSyntaxError,
     GcodeUnsupportedError,
+    Settings,
 )
 
 from .listings import run_text
@@ -104,3 +105,14 @@ def test_a_complete_loop_gives_no_warning() -> None:
     outcome = run_text(text)
     assert outcome.error is None
     assert outcome.warnings == []
+
+
+def test_the_first_move_after_a_tool_length_should_name_x_y_z() -> None:
+    """On an arm the tool length acts along the tool, so what X Y Z are after it only the kinematics knows."""
+    arm = Settings()
+    assert run_text("G43.1 Z50\nG0 X1 Y2 Z3\nG0 X2\nM2", arm).warnings == []
+    assert run_text("G49\nG0 X1\nM2", arm).warnings == []
+    warned = run_text("G43.1 Z50\nG0 X1\nG0 X2\nM2", arm).warnings
+    assert [w.location.line for w in warned] == [2]
+    assert "tool length" in warned[0].message
+    assert run_text("G43.1 Z50\nG0 X1\nM2").warnings == []
