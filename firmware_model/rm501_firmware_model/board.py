@@ -137,8 +137,8 @@ class Board:
     def raise_fault(self, fault: FaultCode, source: int = 0, value: int = 0, limit: int = 0) -> None:
         """Latch a fault found below this model, as a watchdog or a memory check of real hardware would."""
         core = self._core
-        if core.answers(Stimulus.HARD_FAULT):
-            core.hard_stop(fault, source, value, limit)
+        core.answers(Stimulus.HARD_FAULT)
+        core.hard_stop(fault, source, value, limit)
 
     # --------------------------------------------------------------------------------------------------------------
     # link
@@ -160,9 +160,9 @@ class Board:
             elif isinstance(event, Received):
                 self._commands.obey(event.message, event.sequence or 0)
             elif isinstance(event, SessionOpened):
-                if core.answers(Stimulus.SESSION_OPENED):
-                    core.session_opened()
-            elif isinstance(event, Undecodable):
+                core.answers(Stimulus.SESSION_OPENED)
+                core.session_opened()
+            elif isinstance(event, Undecodable):  # pragma: no branch  # a board's link has no other events
                 self._commands.refuse(event.message_id, event.sequence, RefusalReason.MALFORMED)
             self._report()
 

@@ -340,8 +340,8 @@ class Core:
         motor = self.stepgen.late - 1
         self.stepgen.late = 0
         lag = self.stepgen.position[motor] - (self.stepgen.count[motor] << FRACTION_BITS)
-        if self.answers(Stimulus.HARD_FAULT):
-            self.hard_stop(FaultCode.STEP_LATE, motor, lag >> 32, 1 << 16)
+        self.answers(Stimulus.HARD_FAULT)
+        self.hard_stop(FaultCode.STEP_LATE, motor, lag >> 32, 1 << 16)
 
     # ---------------------------------------------------------------------------------------------------------- states
 
@@ -468,8 +468,7 @@ class Core:
 
     def stop(self) -> None:
         """STOP, category 1: ramp down at the stop slope, then motor power off."""
-        if not self.answers(Stimulus.STOP):
-            return
+        self.answers(Stimulus.STOP)
         if self.state == BoardState.STOPPING:
             if self.end_cause != EndCause.FAULT:
                 self.end_cause = EndCause.STOP
@@ -697,8 +696,7 @@ class Core:
 
     def soft_fault(self, fault: int, source: int, value: int, limit: int) -> None:
         """Latch a fault that lets the arm stop on its path first."""
-        if not self.answers(Stimulus.SOFT_FAULT):
-            return
+        self.answers(Stimulus.SOFT_FAULT)
         if self.state in (BoardState.RUNNING, BoardState.HOLDING, BoardState.STOPPING):
             self.latch(fault, source, value, limit)
             self.hand.cancel()

@@ -116,17 +116,17 @@ class FastBoard(Board):
         core = self._core
         layout = core.layout
         motion = core.motion
-        slots: list[Words | None] = [None] * len(layout.slot_words)
+        slots: list[Words] = []
         if motion.moving and not motion.gated:
             total = motion.phase + frames * motion.rate
             plays = total >> 24
             if plays:
-                slots = list(self._play_motors(plays))
+                slots = self._play_motors(plays)
             if motion.rate != RATE_ONE:
                 index = (motion.phase + motion.rate * _FRAMES[1 : frames + 1]) >> 24
-                slots = [None if slot is None else slot[index] for slot in slots]
+                slots = [slot[index] for slot in slots]
             else:
-                slots = [None if slot is None else slot[1:] for slot in slots]
+                slots = [slot[1:] for slot in slots]
             motion.phase = total & (RATE_ONE - 1)
             motion.played += plays
             motion.motion_frame = (motion.motion_frame + plays) & FRAME_MASK
@@ -135,20 +135,17 @@ class FastBoard(Board):
         for period in range(layout.periods):
             slot = layout.entry_slots[period]
             fixed = layout.entry_words[period] ^ core.line_word
-            levels = slots[slot]
-            if levels is None:
-                words[:, period] = fixed ^ layout.slot_words[slot]
+            if slots:
+                np.bitwise_xor(slots[slot], np.uint32(fixed), out=words[:, period])
             else:
-                np.bitwise_xor(levels, np.uint32(fixed), out=words[:, period])
+                words[:, period] = fixed ^ layout.slot_words[slot]
         if core.state != BoardState.FAULT and layout.heartbeat_mask:
             words[0::2] ^= np.uint32(layout.heartbeat_mask)
             if frames & 1:
                 core.line_word ^= layout.heartbeat_mask
         core.real_frame += frames
-        if slots[0] is not None:
-            for number, levels in enumerate(slots):
-                if levels is not None:
-                    layout.slot_words[number] = int(levels[-1])
+        for number, levels in enumerate(slots):
+            layout.slot_words[number] = int(levels[-1])
         return words
 
     def _play_motors(self, plays: int) -> list[Words]:

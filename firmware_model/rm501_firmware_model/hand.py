@@ -68,10 +68,6 @@ class Hand:
             self.state = HandState.UNKNOWN
         self.pending = 0
 
-    def busy(self) -> int:
-        """Whether a frame would still change anything."""
-        return 1 if self.pending or self.high_frames or self.rise_wait or self.dir_wait else 0
-
     def frame(self) -> None:
         """One real frame."""
         layout = self.layout

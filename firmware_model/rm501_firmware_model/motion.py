@@ -123,9 +123,10 @@ class Motion:
             self.gated = 1
 
     def frame(self, real_frame: int) -> int:
-        """One real frame: ramp, accumulate; 1 when a motion frame is to be played (by `play`, after its events)."""
-        if self.moving == 0:
-            return 0
+        """One real frame, asked for only while `moving`: ramp, accumulate; 1 when a motion frame is to be played.
+
+        `play` does that, after the events of that motion frame.
+        """
         queue = self.queue
         if self.gated and not self.gate(real_frame):
             return 0

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rm501_firmware_model import Board, FastBoard
-from rm501_protocol.board_config import InputId
-from rm501_protocol.enums import BoardState, Edge, TriggerAction
+from rm501_protocol.board_config import RM501_BOARD, BoardConfig, InputId
+from rm501_protocol.config_pages import MotorLimits, OutputSource
+from rm501_protocol.enums import BoardState, Edge, SegmentFlag, TriggerAction
 from rm501_protocol.link_events import StopKind
 from rm501_protocol.messages import (
     ArmTrigger,
@@ -26,15 +28,17 @@ from rm501_protocol.messages import (
 from rm501_protocol.segment_message import Segment
 from tests.firmware_model.programs import LegalMotion
 from tests.firmware_model.rig import ONE, Rig
+from tests.firmware_model.torture import HOT_BOARD
 
 
 def script(seed: int, rig: Rig) -> None:
     """One random run; everything in it depends on the seed and on what the board answers."""
     rng = random.Random(seed)
-    motion = LegalMotion(rng)
+    config = rig.board.config
+    motion = LegalMotion(rng, config)
     rig.send(SetStatusPeriod(rng.choice((0, 20, 100))))
     waiting: list[Segment] = list(motion.run(rng.randint(3, 40), longest=rng.choice((60, 400, 3000))))
-    for _ in range(60):
+    for _ in range(40):
         while waiting and rig.status().queue_free > 0:
             rig.send(waiting.pop(0))
         kind = rng.random()
@@ -58,7 +62,7 @@ def script(seed: int, rig: Rig) -> None:
             rig.stop(rng.choice((StopKind.STOP, StopKind.KILL)))
         elif kind < 0.37:
             rig.pins.toggle(InputId.OVERFLOW_724)
-        rig.run(rng.choice((1, 7, 64, 700, 3000)), rng.choice((64, 1000)))
+        rig.run(rng.choice((1, 7, 64, 700, 3000)), rng.choice((13, 64, 1000)))
         if rig.state in (BoardState.FAULT, BoardState.IDLE):
             if rig.status().inputs & 1:
                 rig.pins.toggle(InputId.OVERFLOW_724)
@@ -66,17 +70,45 @@ def script(seed: int, rig: Rig) -> None:
             rig.run(3000)
             rig.send(Reset(rig.status().fault), SetPower(True))
             waiting = []
-            restarted = LegalMotion(rng, start_frames=rig.status().queue_end_frame)
+            restarted = LegalMotion(rng, config, start_frames=rig.status().queue_end_frame)
             waiting = list(restarted.run(rng.randint(3, 10)))
         elif not waiting and rig.state is BoardState.READY:
-            waiting = list(LegalMotion(rng, start_frames=rig.status().queue_end_frame).run(5))
+            waiting = list(LegalMotion(rng, config, start_frames=rig.status().queue_end_frame).run(5))
         rig.send(StatusRequest())
     rig.run(50)
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_same_words_and_bytes_as_the_reference(seed: int) -> None:
-    slow, fast = Rig(board=Board), Rig(board=FastBoard)
+SLOW_PULSES = replace(
+    RM501_BOARD,
+    timing=replace(
+        RM501_BOARD.timing, step_length_frames=2, step_space_frames=2, dir_setup_frames=3, dir_hold_frames=5
+    ),
+    motors=replace(
+        RM501_BOARD.motors,
+        motors=(*(MotorLimits(780, 18_000),) * 5, MotorLimits(0, 0)),
+        margin_permille=0,
+        velocity_step_steps_s=40,
+    ),
+    hand=replace(RM501_BOARD.hand, pulse_rate_hz=600),
+)
+NO_EXTRAS = replace(
+    RM501_BOARD,
+    pins=replace(
+        RM501_BOARD.pins,
+        outputs=tuple(pin for pin in RM501_BOARD.pins.outputs if pin.source != OutputSource.HEARTBEAT),
+    ),
+)
+CONFIGS = {"rm501": RM501_BOARD, "hot": HOT_BOARD, "slow": SLOW_PULSES, "bare": NO_EXTRAS}
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "config", [RM501_BOARD, HOT_BOARD, SLOW_PULSES, NO_EXTRAS], ids=["rm501", "hot", "slow", "bare"]
+)
+def test_same_words_and_bytes_as_the_reference(seed: int, config: BoardConfig) -> None:
+    if seed >= 4 and config is not RM501_BOARD:
+        pytest.skip("four seeds are enough for these")
+    slow, fast = Rig(config, board=Board), Rig(config, board=FastBoard)
     script(seed, slow)
     script(seed, fast)
     assert slow.board.frame == fast.board.frame
@@ -86,3 +118,16 @@ def test_same_words_and_bytes_as_the_reference(seed: int) -> None:
     assert len(differing) == 0, f"frames {differing[:5]} of {len(words_slow)} differ"
     assert slow.board.positions_q48 == fast.board.positions_q48
     assert len(fast.pins.blocks) > 5  # the fast path was used
+
+
+def test_a_gated_start_is_waited_for_in_one_stretch() -> None:
+    boards = []
+    for kind in (Board, FastBoard):
+        rig = Rig(board=kind)
+        flags = SegmentFlag.ENDS_AT_REST
+        rig.send(rig.segment(300, flags=flags), Start(True, 900))
+        rig.run(2000, 400)
+        boards.append(rig)
+    assert boards[0].sent_bytes == boards[1].sent_bytes
+    assert np.array_equal(boards[0].pins.words(), boards[1].pins.words())
+    assert boards[1].state is BoardState.READY

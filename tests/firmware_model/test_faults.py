@@ -13,7 +13,7 @@ import pytest
 from rm501_firmware_model import FastBoard, QuietPins
 from rm501_protocol.board_config import InputId
 from rm501_protocol.config_pages import OutputSource
-from rm501_protocol.enums import BoardState, Edge, EndCause, EventKind, HandState, HoldCause, SegmentFlag, TriggerAction
+from rm501_protocol.enums import BoardState, Edge, EndCause, HandState, HoldCause, SegmentFlag, TriggerAction
 from rm501_protocol.faults import FAULT_TEXTS, FaultCode, RefusalReason
 from rm501_protocol.link_events import SessionOpened, StopKind
 from rm501_protocol.messages import (
