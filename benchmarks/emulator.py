@@ -18,6 +18,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from benchmarks.emulator_accuracy import measure
 from rm501_host.config import load_config
 from rm501_host.motion import Progress
 from rm501_host.program_run import RunOptions, run_program
@@ -117,6 +118,21 @@ def tuning_table() -> None:
         )
 
 
+def accuracy_table(visits: int, seed: int) -> bool:
+    """Print AP and RP of the preset `real` beside the thesis's; False when they are not of its order."""
+    print(f"\n{visits} visits, preset real        AP mm   thesis    RP mm   thesis")
+    figures = measure("real", visits, seed)
+    for f in figures:
+        print(f"  {f.name:24}{f.ap_mm:9.3f}{f.thesis_ap_mm:9.3f}{f.rp_mm:9.3f}{f.thesis_rp_mm:9.3f}")
+    ap_mm = sum(f.ap_mm for f in figures) / len(figures)
+    rp_mm = sum(f.rp_mm for f in figures) / len(figures)
+    thesis_ap = sum(f.thesis_ap_mm for f in figures) / len(figures)
+    thesis_rp = sum(f.thesis_rp_mm for f in figures) / len(figures)
+    print(f"  {'mean':24}{ap_mm:9.3f}{thesis_ap:9.3f}{rp_mm:9.3f}{thesis_rp:9.3f}")
+    # Few visits estimate the spread badly: the band for RP is checked with 10 visits and more.
+    return 2.5 <= ap_mm <= 3.5 and (visits < 10 or 0.4 <= rp_mm <= 0.6)
+
+
 def main() -> int:
     """Run the benchmark; 1 when a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -132,6 +148,8 @@ def main() -> int:
         return 0
     good = speed_and_determinism(max(1, int(arguments.n)), arguments.seed)
     tuning_table()
+    if arguments.visits > 0:
+        good = accuracy_table(max(2, arguments.visits), arguments.seed) and good
     print(f"\nemulator: {'all targets met' if good else 'TARGET MISSED'}")
     return 0 if good else 1
 

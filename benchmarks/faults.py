@@ -76,7 +76,7 @@ class Case:
     fault: str
     demand: str
     check: Check
-    in_ci: bool = False
+    in_short: bool = False
 
 
 class _Silent:
@@ -298,10 +298,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", help="rows of the catalogue, comma separated; default: all")
     parser.add_argument("--n", type=float, default=1, help="seeds per case")
-    parser.add_argument("--ci", action="store_true", help="the short selection only")
+    parser.add_argument("--short", action="store_true", help="a selection for continuous integration")
     arguments = parser.parse_args()
     rows = {int(row) for row in arguments.rows.split(",")} if arguments.rows else None
-    chosen = [c for c in CASES if (rows is None or c.row in rows) and (c.in_ci or not arguments.ci)]
+    chosen = [c for c in CASES if (rows is None or c.row in rows) and (c.in_short or not arguments.short)]
     failed, runs, began_s = 0, 0, time.perf_counter()
     clean = {seed: run_case("", seed) for seed in range(1, 1 + max(1, int(arguments.n)))}
     print(f"{'row':>3}  {'fault':44}{'demanded':46}end")
@@ -316,7 +316,7 @@ def main() -> int:
         print(f"{case.row:3}  {case.fault:44}{case.demand:46}{'as demanded' if not complaints else 'FAILED'}")
         for complaint in complaints:
             print(f"{'':5}{complaint}")
-    if rows is None and not arguments.ci:
+    if rows is None and not arguments.short:
         for row, where in ELSEWHERE.items():
             print(f"{row:3}  {where}")
     verdict = "all as demanded" if not failed else f"{failed} CASES FAILED"

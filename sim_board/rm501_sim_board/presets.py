@@ -83,8 +83,10 @@ def _servo(
         stall_torque_nm=2.0 * limit,
         no_load_deg_s=60.0,
         friction_scatter=0.12,
+        integral_deadband_steps=3,
+        drift_nm=0.05 * limit,
         backlash_deg=0.05,
-        compliance_deg_nm=0.004,
+        compliance_deg_nm=0.002,
     )
 
 
@@ -100,7 +102,7 @@ REAL_SERVOS: tuple[ServoParameters, ...] = (
 )
 
 # Release edges away from their nominal angles, as a real arm's are before it is calibrated.
-_REAL_SWITCH_ERROR_DEG = (0.32, -0.30, 0.28, 0.22, -0.35)
+_REAL_SWITCH_ERROR_DEG = (0.33, -0.2, 0.31, 0.18, -0.33)
 
 
 def _worn(error_deg: tuple[float, ...], hysteresis: float, scatter: float, bounce: int) -> tuple[SwitchParameters, ...]:
@@ -120,7 +122,7 @@ PRESETS: dict[str, BenchParameters] = {
     "ideal": BenchParameters(),
     "real": BenchParameters(
         name="real",
-        geometry=ArmGeometry(d1_mm=230.9, a2_mm=219.2, a3_mm=150.8, d5_mm=95.7),
+        geometry=ArmGeometry(d1_mm=230.5, a2_mm=219.2, a3_mm=150.7, d5_mm=96.0),
         switches=_worn(_REAL_SWITCH_ERROR_DEG, 0.35, 0.015, 6),
         servos=REAL_SERVOS,
     ),
@@ -133,6 +135,7 @@ PRESETS: dict[str, BenchParameters] = {
                 servo,
                 coulomb_nm=1.6 * servo.coulomb_nm,
                 friction_scatter=0.25,
+                drift_nm=2.0 * servo.drift_nm,
                 backlash_deg=0.15,
                 compliance_deg_nm=0.01,
                 derivative_nm_s=0.6 * servo.derivative_nm_s,

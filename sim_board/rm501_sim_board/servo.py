@@ -32,7 +32,8 @@ class ServoParameters:
 
     `no_load_deg_s` is where back-EMF leaves no torque, `torque_limit_nm` the current limit, `stall_torque_nm` what
     the supply voltage would give at standstill. `friction_scatter` is the standard deviation of the friction,
-    relative. `backlash_deg` is the full play; `compliance_deg_nm` the wind-up of the link per Nm of gravity torque.
+    relative, `drift_nm` that of the drive amplifier's slow offset. `backlash_deg` is the full play;
+    `compliance_deg_nm` the wind-up of the link per Nm of gravity torque.
     """
 
     steps_per_deg: float
@@ -50,6 +51,7 @@ class ServoParameters:
     integral_deadband_steps: int = 1
     encoder_counts_per_step: int = 1
     friction_scatter: float = 0.0
+    drift_nm: float = 0.0
     backlash_deg: float = 0.0
     compliance_deg_nm: float = 0.0
 

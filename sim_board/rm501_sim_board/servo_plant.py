@@ -26,8 +26,9 @@ SAMPLES_PER_LOAD = 8  # 7.68 ms
 # How near to a stop, in deg, the coupled wrist motors are watched sample by sample.
 _WATCH_DEG = 1.5
 _NOISE_CHUNK = 1024
-# Friction wanders with this correlation from one load interval to the next: 0.5 s.
+# From one load interval to the next: friction wanders within 0.5 s, an amplifier's offset within 10 s.
 _FRICTION_MEMORY = 0.985
+_DRIFT_MEMORY = 0.99923
 
 
 class _Change(IntEnum):
@@ -46,24 +47,26 @@ class _Pending:
     signs: list[IntArray] = field(default_factory=list)
 
 
-class _FrictionNoise:
-    """Relative friction of one motor per load interval: a seeded, clipped first-order wander."""
+class _Wander:
+    """A seeded first-order wander, one value per load interval, clipped at `limit` on both sides of 0."""
 
-    def __init__(self, seed: int, motor: int, scatter: float) -> None:
-        self._rng = stream(seed, f"friction {motor}")
-        self._scatter = scatter
-        self._last = 0.0
-        self._factors: list[float] = []
+    def __init__(self, rng: np.random.Generator, scatter: float, memory: float, limit: float) -> None:
+        self._rng = rng
+        self._drive = scatter * (1.0 - memory**2) ** 0.5
+        self._memory = memory
+        self._limit = limit
+        # It has been running for long: the first value scatters like all others.
+        self._last = scatter * float(rng.standard_normal())
+        self._values: list[float] = []
 
-    def factor(self, interval: int) -> float:
-        if not self._scatter:
-            return 1.0
-        while interval >= len(self._factors):
-            drive = self._scatter * (1.0 - _FRICTION_MEMORY**2) ** 0.5
+    def value(self, interval: int) -> float:
+        if not self._drive:
+            return 0.0
+        while interval >= len(self._values):
             for draw in self._rng.standard_normal(_NOISE_CHUNK).tolist():
-                self._last = _FRICTION_MEMORY * self._last + drive * draw
-                self._factors.append(min(max(1.0 + self._last, LEAST_FRICTION_FACTOR), 2.0 - LEAST_FRICTION_FACTOR))
-        return self._factors[interval]
+                self._last = self._memory * self._last + self._drive * draw
+                self._values.append(min(max(self._last, -self._limit), self._limit))
+        return self._values[interval]
 
 
 class ServoPlant:
@@ -99,7 +102,14 @@ class ServoPlant:
         self.axes = tuple(
             ServoAxis(p, s, counter_limit_steps, step_s) for p, s in zip(servos, start_steps, strict=True)
         )
-        self._noise = tuple(_FrictionNoise(seed, m, p.friction_scatter) for m, p in enumerate(servos))
+        self._friction = tuple(
+            _Wander(stream(seed, f"friction {m}"), p.friction_scatter, _FRICTION_MEMORY, 1.0 - LEAST_FRICTION_FACTOR)
+            for m, p in enumerate(servos)
+        )
+        self._drift = tuple(
+            _Wander(stream(seed, f"drift {m}"), p.drift_nm, _DRIFT_MEMORY, 3.0 * p.drift_nm)
+            for m, p in enumerate(servos)
+        )
         frame_s = clock.frame_us * 1e-6
         self._top_steps_per_frame = max(axis.top_speed_steps_s for axis in self.axes) * frame_s
         self._joint_bounds = tuple(
@@ -116,6 +126,7 @@ class ServoPlant:
         self._changes: list[tuple[int, _Change, float]] = []
         self._sample = 0
         self._gravity_nm = [0.0] * ARM_MOTOR_COUNT
+        self._offset_nm = [0.0] * ARM_MOTOR_COUNT
         self._gravity_before_nm: list[float] | None = None
         self._inertia_kg_m2 = [0.0] * ARM_MOTOR_COUNT
         self._factor = [1.0] * ARM_MOTOR_COUNT
@@ -266,9 +277,10 @@ class ServoPlant:
         self._gravity_before_nm = now
         disturbance = self.disturbances.load_torque_nm
         self._gravity_nm = [g + 0.5 * (g - b) + d for g, b, d in zip(now, before, disturbance, strict=True)]
+        self._offset_nm = [wander.value(interval) for wander in self._drift]
         wrist_j = 0.25 * loads.pitch_kg_m2
         self._inertia_kg_m2 = [loads.waist_kg_m2, loads.shoulder_kg_m2, loads.elbow_kg_m2, wrist_j, wrist_j]
-        self._factor = [noise.factor(interval) for noise in self._noise]
+        self._factor = [1.0 + wander.value(interval) for wander in self._friction]
         self._near_wrist_stop = any(
             not END_STOPS[j].low_deg + _WATCH_DEG < angles[j] < END_STOPS[j].high_deg - _WATCH_DEG
             for j in (Joint.PITCH, Joint.ROLL)
@@ -288,7 +300,7 @@ class ServoPlant:
         count = end - sample
         for motor, axis in enumerate(self.axes):
             part = commands[motor][sample - first : end - first]
-            gravity = self._gravity_nm[motor]
+            gravity = self._gravity_nm[motor] - (self._offset_nm[motor] if powered else 0.0)
             held = motor in stalled or self._propped
             links, encoders = self._link_log[motor], self._encoder_log[motor]
             if part[0] == part[-1] and len(set(part)) == 1 and axis.at_rest(part[0], gravity, powered, held):
