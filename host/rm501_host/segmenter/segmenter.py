@@ -238,6 +238,10 @@ class Segmenter:
             fitted = self._try(samples, at, at + length) if at + length <= last else None
             if fitted is not None:
                 return at + length, fitted
+        for length in (48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1):
+            matched = self._speed_matched(samples, at, at + length) if at + length <= last else None
+            if matched is not None:
+                return at + length, matched
         nearest: tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]] | None = None
         least = np.inf
         for length in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48):
@@ -254,6 +258,26 @@ class Segmenter:
             if fitted is not None:
                 return end, fitted
         raise PlanError("a motor would have to accelerate faster than a segment can say")
+
+    def _speed_matched(self, samples: Samples, at: int, end: int) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
+        """The parabola that ends at the ideal speed and only near the ideal place: a kink between two frames leaves a
+        mean acceleration, no room for more. What it is off by stays within the tolerance and is made good later.
+        """
+        frames = int(samples.frames[end] - samples.frames[at])
+        if end == len(samples.frames) - 1:
+            return None
+        bend = (samples.speeds[end] - self._speed) / (2.0 * frames)
+        cubic = Cubic(self._speed, bend, np.zeros_like(bend))
+        if self._motors.acceleration_ratio((2.0 * bend)[None, :]) > RATIO:
+            return None
+        start = self._steps_now()
+        inner = (samples.frames[at + 1 : end + 1] - samples.frames[at]).astype(np.float64)
+        offsets = cubic.offsets(inner)
+        error = float(np.abs(offsets + start - samples.steps[at + 1 : end + 1]).max())
+        if error > self._tolerance:
+            return None
+        terms = to_wire(cubic, self._positions, start + offsets[-1], frames)
+        return None if terms is None else (cubic, terms, error)
 
     def _held_back(self, samples: Samples, at: int, end: int) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
         """The cubic with its accelerations clipped to the limits; its end is then near the ideal, not on it, and the
