@@ -37,7 +37,6 @@ def test_every_place_that_joints_reach_is_on_the_map(arm: Arm) -> None:
     grown = section.reachable.copy()
     for axis in range(3):
         grown |= np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
-    print(grown[cells].mean())
     assert grown[cells].mean() > 0.99  # the rest is where the workspace is thinner than a cell
     # and nothing is on it that the closed form does not reach, judged by forward kinematics
     rows, columns, pitches = (index[::997] for index in np.nonzero(section.reachable))
