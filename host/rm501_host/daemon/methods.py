@@ -178,7 +178,7 @@ async def _lease_give_back(client: Client, params: NoParams) -> object:
 
 @api.method("resume", NoParams, Access.FULL)
 async def _resume(client: Client, params: NoParams) -> object:
-    """Go on after a hold, M0, M1 or a single block. Only the owner may, or anybody when the lease is free."""
+    """Go on after a hold, M0, M1 or a single block. Refused while another client keeps the lease."""
     await client.machine.resume(client.owner)
     return None
 
@@ -410,7 +410,7 @@ class SwitchParams(_Params, frozen=True):
 @api.method("single_block", SwitchParams, Access.FULL)
 async def _single_block(client: Client, params: SwitchParams) -> object:
     """Stop after every block that moves; takes effect when a program starts, `off` at once."""
-    client.machine.lease.require(client.owner)
+    client.machine.lease.require_control(client.owner)
     client.service.programs.single_block = params.on
     return None
 
@@ -418,7 +418,7 @@ async def _single_block(client: Client, params: SwitchParams) -> object:
 @api.method("optional_stop", SwitchParams, Access.FULL)
 async def _optional_stop(client: Client, params: SwitchParams) -> object:
     """Pause at M1."""
-    client.machine.lease.require(client.owner)
+    client.machine.lease.require_control(client.owner)
     client.service.programs.optional_stop = params.on
     return None
 

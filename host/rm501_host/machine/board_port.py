@@ -16,8 +16,8 @@ from rm501_protocol.board_config import BoardConfig
 from rm501_protocol.messages import SetStatusPeriod
 from rm501_protocol.transport import Transport
 
-STATUS_PERIOD_MS = 20
-"""50 statuses a second: as often as subscribers may have them; 5 of the line's 25 kB/s."""
+STATUS_PERIOD_MS = 40
+"""25 statuses a second, 2.5 of the 25 kB/s of the line; every change of state comes at once anyway."""
 _FIRST_WAIT_S = 0.2
 _LONGEST_WAIT_S = 2.0
 _SILENCE_S = 3.0

@@ -1,8 +1,10 @@
 """One owner of motion at a time.
 
 A client takes the lease and keeps it until it gives it back or goes away; or it just commands a motion, which takes the
-lease for as long as that motion lasts. Whoever comes second gets LeaseHeldError naming the owner. Stopping and
-holding need no lease, resuming and overriding do.
+lease for as long as that motion lasts. Whoever wants to start another motion gets LeaseHeldError naming the owner.
+Stopping and holding need no lease. Guiding a motion that is under way (resume, abort, override, reset) is refused only
+while another client keeps the lease on purpose: the one who started a program from a terminal need not be the one
+who resumes it from another.
 
     LeaseHeldError(RefusedError)
 """
@@ -72,6 +74,11 @@ class MotionLease:
         """Raise LeaseHeldError when somebody else owns the motion."""
         if self._owner is not None and self._owner.id != owner.id:
             raise LeaseHeldError(self._owner)
+
+    def require_control(self, owner: Owner) -> None:
+        """Raise LeaseHeldError when somebody else keeps the lease on purpose."""
+        if self._kept:
+            self.require(owner)
 
     def _settle(self) -> None:
         if not self._kept and not self._moving:

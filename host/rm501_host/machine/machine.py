@@ -33,7 +33,7 @@ from rm501_host.machine.jobs import Job, JobBook, JobKind
 from rm501_host.machine.lease import MotionLease, Owner
 from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe, next_state
 from rm501_host.motion import MotionStream
-from rm501_host.session import BoardSession
+from rm501_host.session import BoardRefusedError, BoardSession
 from rm501_host.session.board_session import LinkLostError, Notice
 from rm501_host.storage import JsonLog, PositionFile
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause
@@ -57,6 +57,8 @@ from rm501_protocol.transport import Transport
 _LOGGER = logging.getLogger(__name__)
 _REST_TIMEOUT_S = 15.0
 """An on-path stop from full speed takes 1.7 s on the thesis's program; this is far above any."""
+_NOTICE_S = 0.5
+"""A job whose motion the board has ended notices within a status period; if not, it is ended."""
 _SYSTEM = Owner(0, "the machine")
 
 
@@ -88,6 +90,7 @@ class Machine:
         self.mode = Mode.MANUAL
         self.override = 1.0
         self.job: Job | None = None
+        self._job_task: asyncio.Task[None] | None = None
         self.last_job_id = 0
         self.frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
         self.stream: MotionStream | None = None
@@ -212,7 +215,7 @@ class Machine:
 
     async def resume(self, who: Owner) -> None:
         """Go on after a hold, a pause of the program, or a single block."""
-        self.lease.require(who)
+        self.lease.require_control(who)
         if self.waiting_for:
             self.write_log("continue", who=who.name, after=self.waiting_for)
             self._continue.set()
@@ -229,7 +232,7 @@ class Machine:
 
     async def abort(self, who: Owner) -> None:
         """End the motion on its path, motors held, position trusted."""
-        self.lease.require(who)
+        self.lease.require_control(who)
         job = self.job
         if job is None:
             return
@@ -240,7 +243,7 @@ class Machine:
 
     async def set_override(self, ratio: float, who: Owner) -> None:
         """Feed override 0..1, at once and along the path."""
-        self.lease.require(who)
+        self.lease.require_control(who)
         if not 0.0 <= ratio <= 1.0:
             raise RefusedError(f"override {ratio} is not between 0 and 1; above 1 give the program a speed factor")
         self.session.post(SetOverride(round(ratio * OVERRIDE_ONE)))
@@ -253,7 +256,7 @@ class Machine:
         Raises RefusedError naming a fault that was not named, NoBoardError, BoardRefusedError when its cause is still
         there. Nothing moves.
         """
-        self.lease.require(who)
+        self.lease.require_control(who)
         async with self._resets:
             session = self.session
             if self.state.task is TaskState.ON and self.state is not MachineState.IDLE:
@@ -275,7 +278,7 @@ class Machine:
 
     async def power_off(self, who: Owner) -> None:
         """Motor power off at rest. Where the line is fitted the arm sinks and the position is trusted no longer."""
-        self.lease.require(who)
+        self.lease.require_control(who)
         if self.state is MachineState.OFF:
             return
         if self.state is not MachineState.IDLE:
@@ -306,7 +309,7 @@ class Machine:
         self._aborting = False
         self._apply(Event.START)
         self.write_log("motion", motion=job.id, what=kind.value, who=who.name)
-        self._tasks.create_task(self._run_job(job, body), name=f"motion {job.id}")
+        self._job_task = self._tasks.create_task(self._run_job(job, body), name=f"motion {job.id}")
         return job
 
     async def wait_for_operator(self, what: str) -> None:
@@ -334,6 +337,14 @@ class Machine:
             await body(job)
         except Rm501Error as error:
             job.error = error
+            if isinstance(error, RefusedError) and self.state not in (MachineState.RUNNING, MachineState.IDLE):
+                # the board refused what was on its way when the machine was taken away
+                job.error = StoppedError(f"{job.kind.value} ended: the machine went to {describe(self.state)}")
+        except asyncio.CancelledError:
+            why = "aborted" if self._aborting else f"the machine went to {describe(self.state)}"
+            job.error = StoppedError(f"{job.kind.value} ended: {why}; the arm stands on its path")
+            if self._tasks is None:
+                raise
         except Exception as error:
             _LOGGER.exception("motion %d failed", job.id)
             job.error = StoppedError(f"an error of the daemon ended the motion: {error!r}; its log has the details")
@@ -350,11 +361,10 @@ class Machine:
         """Bring the state to where a motion leaves it, and the position file up to date."""
         session = self._port.session
         if session is not None and session.failure is None and self.state.task is TaskState.ON:
-            if self.state is not MachineState.STOPPING or self._aborting:
-                with contextlib.suppress(Rm501Error):
-                    # a plan that broke off leaves motion queued that nobody will complete
-                    if job.error is not None and self.last_end is None:
-                        await self.resync()
+            if (self.state is not MachineState.STOPPING or self._aborting) and job.error is not None:
+                # motion may be queued that nobody will complete, and only the board knows where it ended
+                with contextlib.suppress(Rm501Error, TimeoutError):
+                    await self.resync()
             if self.state in (MachineState.HOLDING, MachineState.HELD):
                 self._apply(Event.ABORT)
             if self.state is MachineState.RUNNING or (self.state is MachineState.STOPPING and self._aborting):
@@ -374,12 +384,27 @@ class Machine:
             self._apply(Event.ABORT)
         session.post(Hold())
         assert self._tasks is not None
-        self._tasks.create_task(self._truncate_when_held(session))
+        if self.job is not None:
+            self._tasks.create_task(self._truncate_when_held(session, self.job))
 
-    async def _truncate_when_held(self, session: BoardSession) -> None:
-        """After a hold for an abort: drop the rest of the queue once the arm is at rest on its path."""
+    async def _truncate_when_held(self, session: BoardSession, job: Job) -> None:
+        """After the hold of an abort: at rest on the path drop the rest of the queue, then end the job."""
         with contextlib.suppress(Rm501Error, TimeoutError):
-            await self._settle(session)
+            async with asyncio.timeout(_REST_TIMEOUT_S):
+                status = await session.refresh_status()
+                while self.job is job and status.state in (BoardState.RUNNING, BoardState.HOLDING, BoardState.HELD):
+                    if status.state is BoardState.RUNNING:
+                        session.post(Hold())
+                    elif status.state is BoardState.HELD:
+                        await self._drop_queue(session, status)
+                    await asyncio.sleep(0.02)
+                    status = await session.refresh_status()
+        self._end_job(job)
+
+    def _end_job(self, job: Job) -> None:
+        """Cancel a job that has not noticed by itself that its motion is over."""
+        if self.job is job and self._job_task is not None:
+            self._job_task.cancel()
 
     async def _settle(self, session: BoardSession) -> Status:
         """Bring the board to rest with an empty queue, motors as they are: READY, IDLE or BOOT."""
@@ -389,13 +414,15 @@ class Machine:
                 if status.state is BoardState.RUNNING:
                     session.post(Hold())
                 elif status.state is BoardState.HELD:
-                    session.post(Truncate(status.motion_frame))
+                    await self._drop_queue(session, status)
                 await asyncio.sleep(0.02)
                 status = await session.refresh_status()
-            if status.state is BoardState.READY and status.queue_used:
-                session.post(Truncate(status.motion_frame))
-                status = await session.refresh_status()
         return status
+
+    async def _drop_queue(self, session: BoardSession, status: Status) -> None:
+        """Drop what is queued behind a hold, once: a second Truncate would hit the motion after it."""
+        with contextlib.suppress(BoardRefusedError):
+            await session.command(Truncate(status.motion_frame), lambda now: now.state is not BoardState.HELD)
 
     # ---------------------------------------------------------------------------------- reset, power
 
@@ -542,6 +569,8 @@ class Machine:
     def _apply(self, event: Event) -> None:
         before = self.state
         self.state = next_state(before, event)
+        if self.state.task is not TaskState.ON and self.job is not None:
+            self._loop.call_later(_NOTICE_S, self._end_job, self.job)
         if self.state is not before:
             self.write_log("state", before=describe(before), after=describe(self.state), event=event.value)
             status = self.board_status
