@@ -114,6 +114,9 @@ def check_words(state: State, block: Evaluated) -> None:
                 raise GcodeModalError(f"cannot put an {axis} in canned cycle", "Turn the tool in a block of its own.")
     for letter in w:
         match letter:
+            case "$":
+                if to_integer(w["$"], "$, the spindle") not in (0, -1):
+                    raise GcodeModalError("invalid spindle ($) number", "There is one spindle output, $0.")
             case "d":
                 _used(False, "D", "G41 or G42")
             case "e":

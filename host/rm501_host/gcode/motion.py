@@ -306,9 +306,8 @@ def _arc_length(
 def probe(ctx: Context, code: int, words: Words) -> None:
     """G38.2 to G38.5; the position after it is the machine's to tell. Raises GcodeModalError."""
     state = ctx.state
-    if state.inverse_time:
-        raise GcodeModalError("cannot probe in inverse time feed mode", "Switch to G94.")
-    need_feed(state, "probe")
+    if state.feed == 0.0:
+        raise GcodeModalError("cannot probe with zero feed rate", "Give an F word in G94 before the probing move.")
     end = end_point(ctx, words)
     if code in (382, 384) and math.dist(state.position, end) < 1e-9:
         raise GcodeGeometryError("start point too close to probe point", "Probe over a distance.")

@@ -36,8 +36,8 @@ _WITH_RESULT = {"endsub", "return"}
 _DIGITS = re.compile(r"[0-9]+")
 _LINE_NUMBER = re.compile(r"[0-9]+(?:\.[0-9]*)?")
 _AXES = "xyzabc"
-_LETTERS = frozenset("abcdefhijklpqrstxyz@^")
-_NAMES = {"@": "polar radius", "^": "polar angle"}
+_LETTERS = frozenset("abcdefhijklpqrstxyz@^$")
+_NAMES = {"@": "polar radius", "^": "polar angle", "$": "spindle number"}
 
 
 def split_comments(line: str) -> tuple[str, str | None]:

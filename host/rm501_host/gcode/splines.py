@@ -21,8 +21,10 @@ def clamped_knots(points: int, order: int) -> tuple[float, ...]:
 
 def _check(ctx: Context, words: Words) -> None:
     need_feed(ctx.state, "make arc")
-    if ctx.state.inverse_time:
+    if ctx.state.inverse_time and not ctx.peer_standalone:
         raise GcodeModalError("cannot use splines in inverse time feed mode", "Switch to G94.")
+    if ctx.state.inverse_time and "f" not in words:
+        raise GcodeModalError("F word missing with inverse time arc move", "In G93 every feed move needs its own F.")
     if ctx.state.plane is not Plane.XY:
         raise GcodeModalError("splines must be in the XY plane", "Select it with G17.")
     for word in "zabc":

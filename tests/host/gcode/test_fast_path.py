@@ -24,7 +24,10 @@ def _block(draw: st.DrawFn) -> str:
     if kind == 1:
         r = draw(st.integers(1, 9))
         sign = draw(st.sampled_from([1, -1]))
-        return f"G{draw(st.sampled_from('23'))} X{2 * r} Y0 I{sign * r} J0 F{draw(_number)}"
+        across = draw(
+            st.sampled_from([f"X{2 * r} Y0 I{sign * r} J0", f"X0 Y{2 * r} I0 J{sign * r}", f"Y{r} J{sign * r}"])
+        )
+        return f"G{draw(st.sampled_from('23'))} {across} F{draw(_number)}"
     words = []
     if draw(st.booleans()):
         words.append(draw(st.sampled_from(["G0", "G1", "G01", "g1", "G2", "G3", "G00"])))
@@ -51,3 +54,16 @@ def test_both_ways_give_the_same_calls_and_errors(blocks: list[str]) -> None:
     lines = ["G21 F100", *blocks, "M2"]
     slow = [line if line == "M2" else f"/{line}" for line in lines]
     assert _outcome(lines) == _outcome(slow)
+
+
+def test_plain_arcs_in_every_direction() -> None:
+    """Full and part circles about centres all round, absolute: the fast path's centre must be the long way's."""
+    blocks = ["G0 X0 Y0"]
+    for i, j in [(3, 0), (0, 4), (-5, 0), (0, -6), (3, 4), (-4, 3), (1.5, -2)]:
+        for code in "G2", "G3":
+            blocks += [f"{code} X{2 * i} Y{2 * j} I{i} J{j} Z1", "G0 X0 Y0", f"{code} X0 Y0 I{i} J{j}"]
+    lines = ["G21 F100", *blocks, "M2"]
+    calls, error = _outcome(lines)
+    assert error is None
+    assert sum(call["op"] == "ArcFeed" for call in calls) == 28
+    assert (calls, error) == _outcome([line if line == "M2" else f"/{line}" for line in lines])
