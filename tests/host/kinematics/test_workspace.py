@@ -46,19 +46,20 @@ def test_every_place_that_joints_reach_is_on_the_map(arm: Arm) -> None:
         assert any(solution.in_limits and abs(solution.q_deg[0]) < 1e-6 for solution in result.solutions) or a == count
 
 
-def test_manipulability_of_the_map_is_the_best_over_the_pitches() -> None:
+@pytest.mark.parametrize("arm", [ARM, OFFSET], ids=["plain", "offset"])
+def test_manipulability_of_the_map_is_the_best_over_the_pitches(arm: Arm) -> None:
     r, z, pitch = np.array((300.0, 320.0)), np.array((200.0, 210.0)), np.arange(-90.0, 181.0, 10.0)
-    section = workspace_map(ARM, r, z, pitch)
+    section = workspace_map(arm, r, z, pitch)
     best = 0.0
     for angle in pitch:
-        result = ARM.ik((320.0, 0.0, 210.0), angle, 0.0)
+        result = arm.ik((320.0, -arm.geometry.tcp_mm[1], 210.0), angle, 0.0)
         for solution in result.solutions:
             if solution.in_limits:
-                best = max(best, ARM.manipulability(solution.q_deg, section.length_mm))
+                best = max(best, arm.manipulability(solution.q_deg, section.length_mm))
     assert section.manipulability[1, 1] == pytest.approx(best)
     assert section.area_mm2 == 4 * 200.0
     with pytest.raises(KinematicsError, match="two radii"):
-        workspace_map(ARM, r[:1], z, pitch)
+        workspace_map(arm, r[:1], z, pitch)
 
 
 def test_reachable_pitches_of_a_point() -> None:
