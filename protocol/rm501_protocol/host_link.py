@@ -15,6 +15,7 @@ from .link_core import LinkCore
 from .link_events import (
     GenerationAdvanced,
     LinkHeard,
+    LinkNoisy,
     LinkSilent,
     LossReason,
     SessionLost,
@@ -34,6 +35,8 @@ CLOCK_PERIOD_US = 100_000
 HELLO_PERIOD_US = 100_000
 STOP_PERIOD_US = 5_000
 SILENCE_US = 1_000_000
+NOISE_FRAMES = 500
+"""Frames over which the share of broken ones is judged."""
 _EPOCH_MEMORY = 8
 """Former epochs remembered, so that a late packet of one does not look like a new board."""
 
@@ -72,6 +75,8 @@ class HostLink(LinkCore):
         self._clock_due_us: int | None = None
         self._query_line_us = 0
         self._silent = False
+        self._judged_frames = 0
+        self._judged_bad = 0
 
     # ------------------------------------------------------------------------------------- public
 
@@ -131,6 +136,17 @@ class HostLink(LinkCore):
     def segment_credit(self) -> int:
         """Segments that could be sent now without overfilling the board's queue."""
         return self._window.segment_credit
+
+    def receive_data(self, data: bytes, now_us: int) -> None:
+        """Take bytes from the transport (with a packet codec: exactly one packet). Never raises, whatever they are."""
+        super().receive_data(data, now_us)
+        frames = self.stats.packets_in + self.stats.bad_packets + self.stats.bad_frames - self._judged_frames
+        if frames >= NOISE_FRAMES:
+            bad = self.stats.bad_frames - self._judged_bad
+            self._judged_frames += frames
+            self._judged_bad += bad
+            if 100 * bad > frames:
+                self._put_event(LinkNoisy(bad, frames))
 
     def next_deadline_us(self) -> int | None:
         """When `data_to_send` must be called at the latest."""

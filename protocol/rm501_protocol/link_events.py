@@ -12,6 +12,7 @@ __all__ = [
     "Event",
     "GenerationAdvanced",
     "LinkHeard",
+    "LinkNoisy",
     "LinkSilent",
     "LossReason",
     "Received",
@@ -113,6 +114,16 @@ class LinkHeard:
     silent_us: int
 
 
+@dataclass(frozen=True, slots=True)
+class LinkNoisy:
+    """Host only: of the last `frames` frames, `bad_frames` were broken, more than one in a hundred: look at the
+    cable.
+    """
+
+    bad_frames: int
+    frames: int
+
+
 Event = (
     Received
     | Undecodable
@@ -123,4 +134,5 @@ Event = (
     | GenerationAdvanced
     | LinkSilent
     | LinkHeard
+    | LinkNoisy
 )

@@ -9,13 +9,14 @@ from benchmarks.soak import main as soak
 from rm501_protocol.declaration import Message, encode_payload
 from rm501_protocol.errors import FieldRangeError, LinkClosedError, LinkFullError
 from rm501_protocol.header import FLAG_FROM_BOARD, FLAG_NAK, FLAG_OPEN, FLAG_SEQUENCED, HEADER, parse_header
-from rm501_protocol.host_link import CLOCK_PERIOD_US, HELLO_PERIOD_US, SILENCE_US, STOP_PERIOD_US
+from rm501_protocol.host_link import CLOCK_PERIOD_US, HELLO_PERIOD_US, NOISE_FRAMES, SILENCE_US, STOP_PERIOD_US
 from rm501_protocol.link import (
     BoardLink,
     Event,
     GenerationAdvanced,
     HostLink,
     LinkHeard,
+    LinkNoisy,
     LinkSilent,
     LossReason,
     PacketCodec,
@@ -715,6 +716,18 @@ def test_what_waits_without_a_sequence_is_bounded_and_only_the_newest_status_kep
         kept += [header_of(packet).message_id for packet in scene.from_board()]
         scene.now_us += 100_000
     assert kept.count(Status.ID) == 1 and kept.count(ClockReply.ID) == 5
+
+
+def test_more_than_one_broken_frame_in_a_hundred_is_reported() -> None:
+    for every, noisy in ((101, False), (50, True)):
+        scene = Scene().connect()
+        good = scene.raw(Ack(), from_board=True)
+        for number in range(NOISE_FRAMES + 1):
+            scene.to_host([good if number % every else good[:-3] + b"\x01\x00"])
+        reports = [event for event in scene.host_events if isinstance(event, LinkNoisy)]
+        assert bool(reports) == noisy
+        if noisy:
+            assert (reports[0].bad_frames, reports[0].frames) == (10, NOISE_FRAMES)
 
 
 def test_silence_is_reported_once_and_its_end_too() -> None:
