@@ -44,7 +44,7 @@ class Caller(Protocol):
         """Whether the client may call methods of that level."""
         ...
 
-    def rate_limited(self, access: Access) -> bool:
+    def rate_limited(self) -> bool:
         """Count a call; True when it comes too fast."""
         ...
 

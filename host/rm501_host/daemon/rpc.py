@@ -25,6 +25,8 @@ API_VERSION = 1
 """Grows when a method or a field goes away or changes its meaning; additions leave it."""
 MAX_BODY_BYTES = 64 * 1024
 MAX_BATCH = 16
+UNLIMITED = frozenset({"stop", "kill", "hold"})
+"""Methods that no rate limit stops."""
 MAX_DEPTH = 32
 """Nesting of a request: decoding recurses, and no method needs more than three."""
 
@@ -169,8 +171,7 @@ class Dispatcher(Generic[C]):
 
     async def _call(self, request: _Request, caller: C) -> object:
         method = self._registry.get(request.method)
-        limited = caller.rate_limited(method.access if method is not None else Access.READ)
-        if limited:
+        if request.method not in UNLIMITED and caller.rate_limited():
             raise RpcError(Code.RATE_LIMITED, "too many calls; slow down", "rate")
         if method is None:
             raise RpcError(Code.METHOD_NOT_FOUND, f"there is no method {request.method[:80]!r}", "method")
