@@ -27,11 +27,11 @@ from rm501_host.program import read_moves
 from rm501_host.report import LimitFigures, RunReport, WireFigures
 from rm501_host.segmenter import PlannedSegment
 from rm501_host.session import BoardSession, open_session
-from rm501_host.session.board_session import WireTap
+from rm501_host.session.board_session import Notice, WireTap
 from rm501_host.tracking import tracking_of
 from rm501_host.transports import open_transport
-from rm501_protocol.enums import BoardState
-from rm501_protocol.messages import Hold
+from rm501_protocol.enums import BoardState, HoldCause
+from rm501_protocol.messages import Hold, Status
 
 _ARM_MOTORS_MASK = 0b11111
 
@@ -145,6 +145,8 @@ async def _play(
     sent: list[PlannedSegment] = []
     began_s = loop.time()
     wall_began_s = options.wall_clock_s() if options.wall_clock_s is not None else began_s
+    tell_holds = _HoldTeller(watcher)
+    session.add_listener(tell_holds)
     try:
         stream = MotionStream(session, config, someone_resumes=False)
         await stream.prepare()
@@ -176,6 +178,29 @@ async def _play(
         faults=[] if error is None else [str(error)],
     )
     return RunResult(report, plan, error, sent)
+
+
+class _HoldTeller:
+    """Tells the operator once about each hold, why it is and who ends it."""
+
+    def __init__(self, watcher: Watcher) -> None:
+        self._watcher = watcher
+        self._told = HoldCause.NONE
+
+    def __call__(self, notice: Notice) -> None:
+        if not isinstance(notice, Status):
+            return
+        cause = notice.hold_cause if notice.state is BoardState.HELD else HoldCause.NONE
+        if cause is not self._told and cause in _HOLDS:
+            self._watcher.message(_HOLDS[cause])
+        self._told = cause
+
+
+_HOLDS = {
+    HoldCause.USER: "held on the path by a user; resume goes on",
+    HoldCause.BUTTON: "held on the path by the HOLD button; CYCLE START goes on, Ctrl-C gives up",
+    HoldCause.OVERRIDE: "held on the path: the feed override is 0",
+}
 
 
 async def _hold_and_leave(session: BoardSession) -> str:

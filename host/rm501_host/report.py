@@ -74,7 +74,7 @@ class RunReport:
             f"{limits.joint_acceleration_ratio:.1%}, motor rate {limits.motor_rate_ratio:.1%}",
             f"  path error {self.tracking.max_tcp_error_mm:.3f} mm at the tool, "
             f"{self.tracking.max_step_error:.3f} step at a motor",
-            f"  faults     {', '.join(self.faults) if self.faults else 'none'}",
+            f"  faults     {len(self.faults) or 'none'}",
         ]
         lines += [f"  warning    {warning}" for warning in self.warnings]
         if self.picture is not None:

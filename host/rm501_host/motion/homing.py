@@ -83,7 +83,14 @@ class Homing:
         for index in order:
             if on_joint is not None:
                 on_joint(JOINT_NAMES[index])
-            results.append(await self.home_joint(index))
+            try:
+                results.append(await self.home_joint(index))
+            except HomingError:
+                raise
+            except StoppedError as error:
+                raise HomingError(
+                    JOINT_NAMES[index], joints[index].home.input, f"stopped: {error}", "then home again"
+                ) from error
         return results
 
     async def home_joint(self, index: int) -> HomedJoint:

@@ -24,9 +24,9 @@ from rm501_host.planner import Piece
 from rm501_host.segmenter import PlannedSegment, Segmenter
 from rm501_host.session import BoardRefusedError, BoardSession, LinkLostError
 from rm501_host.session.board_session import Notice
+from rm501_host.session.fault_words import describe_fault, fault_text
 from rm501_protocol.board_config import InputId
 from rm501_protocol.enums import BoardState, Edge, EndCause, HoldCause, ResumeCause, SegmentFlag
-from rm501_protocol.faults import FAULT_TEXTS
 from rm501_protocol.messages import (
     ArmTrigger,
     DisarmTrigger,
@@ -99,7 +99,7 @@ class MotionStream:
         """
         status = await self._session.refresh_status()
         if status.state is BoardState.FAULT:
-            raise StoppedError(f"a fault is latched: {fault_text(status.fault)}; then reset the board")
+            raise StoppedError(f"a fault is latched: {fault_text(status.fault)}")
         if status.state not in (BoardState.IDLE, BoardState.READY):
             raise StoppedError(
                 f"the board is {status.state.name} (hold cause {status.hold_cause.name}): "
@@ -217,10 +217,7 @@ class MotionStream:
     def _interrupted(self, until_trigger: bool) -> bool:
         """Whether motion ended early as it should (a trigger); raises when it ended as it should not."""
         if self._fault is not None:
-            raise StoppedError(
-                f"the board stopped the arm: {fault_text(self._fault.fault)} (source {self._fault.source}, "
-                f"value {self._fault.value}, limit {self._fault.limit}); then reset the board"
-            )
+            raise StoppedError(f"the board stopped the arm{self._where()}: {describe_fault(self._fault)}")
         if self._refused is not None:
             raise BoardRefusedError(self._refused)
         if self._ended is None:
@@ -231,19 +228,16 @@ class MotionStream:
             return self._session.status is not None and self._session.status.state is BoardState.READY
         if self._ended.cause is EndCause.TRIGGER:
             return False
-        place = self._progress(0).source
         raise StoppedError(
-            f"motion ended by {self._ended.cause.name}"
-            + (f" in {place}" if place is not None else "")
-            + "; the arm stands on its path; look at the status, reset, and start again"
+            f"motion ended by {self._ended.cause.name}{self._where()}; the arm stands on its path; "
+            "look at the status, reset, and start again"
         )
 
     def _give_up_on_a_lost_link(self) -> None:
         if self._someone_resumes:
             return
         status = self._session.status
-        place = self._progress(0).source
-        where = "" if place is None else f" in {place}"
+        where = self._where()
         if self._session.link_silent:
             raise LinkLostError(
                 f"the board has been silent for a second{where}; a moving arm holds on its path by itself, motors on; "
@@ -275,6 +269,11 @@ class MotionStream:
             self._session.post(Resume(ResumeCause.REFILLED))
             self._session.status = None
 
+    def _where(self) -> str:
+        """ " in FILE:LINE" where that is known."""
+        place = self._progress(0).source
+        return f" in {place}" if place is not None and place.line else ""
+
     def _progress(self, first_frame: int) -> Progress:
         played = self._session.motion_frames.value
         while len(self._sources) > 1 and self._sources[0][0] <= played:
@@ -296,9 +295,3 @@ class MotionStream:
                 pass
             case _:
                 pass
-
-
-def fault_text(code: object) -> str:
-    """Cause and remedy of a fault code, as one phrase."""
-    text = FAULT_TEXTS.get(code)  # type: ignore[call-overload]  # an unknown code of a newer board has no text
-    return f"fault {code}" if text is None else f"{text.cause}; {text.remedy}"
