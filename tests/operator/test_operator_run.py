@@ -1,0 +1,163 @@
+"""A day at the arm, from switching on to shutting down, against the real processes: every status asserted.
+
+Real time, a pty, the emulated board with its dynamics. About two minutes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rm501_host.client import DaemonClient, RemoteError
+from rm501_host.client.commands import upload
+from tests.operator.processes import REPOSITORY, client_of, start_board, start_daemon
+
+POINTS = {
+    "pick": [0.0, 60.0, -60.0, 30.0, 0.0],
+    "over": [0.0, 70.0, -60.0, 30.0, 0.0],
+    "place": [20.0, 60.0, -60.0, 30.0, 0.0],
+}
+
+
+def check(status: dict[str, Any], **expected: object) -> None:
+    assert {key: status[key] for key in expected} == expected
+
+
+async def state(client: DaemonClient, **expected: object) -> dict[str, Any]:
+    """Wait for a status with these values, then assert them on a fresh one too."""
+    try:
+        await client.status_where(lambda now: all(now[key] == value for key, value in expected.items()), 15)
+    except TimeoutError:
+        raise AssertionError(f"{expected} never came: {client.status}") from None
+    fresh: dict[str, Any] = await client.call("status")
+    check(fresh, **expected)
+    return fresh
+
+
+async def jog(client: DaemonClient, frame: str, axis: str, speed: float) -> None:
+    """Hold a key for half a second, let go, wait until the arm stands."""
+    before = (await client.call("status"))["steps"]
+    started = await client.call("jog.start", frame=frame, axis=axis, speed=speed)
+    for _ in range(8):
+        assert (await client.call("jog.keep", motion=started["motion"]))["moving"]
+        await asyncio.sleep(0.06)
+    await state(client, task_state="ON", run_state="RUNNING", activity="jog", mode="MANUAL")
+    await client.call("jog.end")
+    await client.wait(started)
+    now = await state(client, task_state="ON", run_state="IDLE", activity="", owner="")
+    assert now["steps"] != before and all(now["homed"])
+
+
+@pytest.mark.timeout(280)
+async def test_operator_run(tmp_path: Path) -> None:
+    board = await start_board(tmp_path)
+    daemon = await start_daemon(tmp_path)
+    try:
+        async with client_of(tmp_path) as client:
+            await state(client, task_state="ESTOP", cause="the daemon has started", connected=True, homed=[False] * 5)
+            with pytest.raises(RemoteError, match="then reset"):
+                await client.call("home")
+            await client.call("reset")
+            await state(client, task_state="ON", run_state="IDLE", power=True, cause="", board_state="READY")
+            with pytest.raises(RemoteError, match="not homed"):
+                await client.call("move.joints", q_deg=POINTS["pick"])
+
+            home = await client.call("home")
+            await state(client, run_state="RUNNING", activity="home", owner="operator")
+            await client.wait(home)
+            await state(client, task_state="ON", run_state="IDLE", homed=[True] * 5, owner="")
+
+            await client.motion("move.joints", q_deg=POINTS["pick"])
+            now = await state(client, run_state="IDLE", activity="")
+            assert now["joints_deg"] == pytest.approx(POINTS["pick"], abs=0.05)
+            await jog(client, "joint", "waist", 10)
+            await jog(client, "joint", "roll", -10)
+            await jog(client, "world", "z", 30)
+            await jog(client, "tool", "z", 30)
+
+            for name, q_deg in POINTS.items():
+                await client.motion("move.joints", q_deg=q_deg)
+                await client.call("teach.record", name=name)
+            assert [point["name"] for point in await client.call("teach.list")] == list(POINTS)
+            await client.motion("teach.go", name="pick", how="joint", speed=1.0)
+            check(await client.call("status"), mode="MANUAL", run_state="IDLE")
+
+            await upload(client, "pnp.ngc", (REPOSITORY / "examples" / "pick_and_place.ngc").read_text())
+            checked = await client.call("program.check", name="pnp.ngc")
+            assert checked["complete"] and 30 < checked["duration_s"] < 60
+            run = await client.call("program.run", name="pnp.ngc")
+            await state(client, mode="AUTO", run_state="RUNNING", activity="program", program="pnp.ngc")
+            await client.status_where(lambda now: now["line"] >= 7)
+            await client.call("override", ratio=0.5)
+            await state(client, override=0.5, run_state="RUNNING")
+            await client.status_where(lambda now: abs(now["rate"] - 0.5) < 0.01)
+            await client.call("override", ratio=1.0)
+            async with client_of(tmp_path, "colleague") as other:
+                with pytest.raises(RemoteError, match="operator") as refused:
+                    await other.call("home")
+                assert refused.value.kind == "LeaseHeldError"
+                await other.call("hold")
+                await state(client, run_state="HELD", hold_cause="USER")
+            held = (await client.call("status"))["steps"]
+            await asyncio.sleep(2.0)
+            assert (await state(client, run_state="HELD"))["steps"] == held
+            await client.call("resume")
+            await state(client, run_state="RUNNING", hold_cause="")
+            await client.status_where(lambda now: now["progress"] > 0.35)
+            await client.call("stop")
+            with pytest.raises(RemoteError, match=r"STOP|OFF"):
+                await client.wait(run)
+            # without motor power the arm sinks: nothing is trusted, and OVERFLOW may follow
+            stopped = await client.call("status")
+            assert stopped["homed"] == [False] * 5 and not stopped["power"] and stopped["line"] >= 7
+            await recover(client)
+            await client.motion("move.joints", q_deg=POINTS["over"])
+
+            # pull the link while the arm moves: the board holds by itself and nothing goes on alone
+            run = await client.call("program.run", name="pnp.ngc")
+            await client.status_where(lambda now: now["line"] >= 7)
+            board.send(signal.SIGSTOP)
+            await client.status_where(lambda now: now["link_silent"], 10)
+            await asyncio.sleep(6.0)
+            board.send(signal.SIGCONT)
+            with pytest.raises(RemoteError):
+                await client.wait(run)
+            await client.status_where(lambda now: now["connected"], 20)
+            now = await state(client, task_state="ESTOP")
+            assert "lost" in now["cause"]
+            steps = now["steps"]
+            await asyncio.sleep(2.0)
+            assert (await client.call("status"))["steps"] == steps
+            await recover(client)
+            await client.motion("move.joints", q_deg=POINTS["over"])
+            final = await state(client, task_state="ON", run_state="IDLE", homed=[True] * 5)
+        assert await daemon.end() == 0
+        record = json.loads((tmp_path / "state" / "position.json").read_text())
+        assert record["dirty"] is False and record["positions_steps"] == final["steps"]
+        kinds = [json.loads(line)["kind"] for line in (tmp_path / "state" / "log.jsonl").read_text().splitlines()]
+        assert {"started", "motion", "stop", "estop", "link_down", "link_up", "ended"} <= set(kinds)
+        assert list((tmp_path / "state" / "blackbox").glob("*.gz"))
+    finally:
+        await daemon.end(signal.SIGKILL)
+        await board.end(signal.SIGKILL)
+
+
+async def recover(client: DaemonClient) -> None:
+    """What docs/recovery.md says: look at the status, reset naming the fault, home what is not trusted."""
+    for _ in range(3):
+        await asyncio.sleep(0.5)
+        status = await client.call("status")
+        try:
+            await client.call("reset", fault=status["fault"] or None)
+            break
+        except RemoteError:
+            continue
+    status = await state(client, task_state="ON", run_state="IDLE")
+    if not all(status["homed"]):
+        await client.motion("home")
+    await state(client, task_state="ON", run_state="IDLE", homed=[True] * 5)
