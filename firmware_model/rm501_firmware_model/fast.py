@@ -212,11 +212,10 @@ class FastBoard(Board):
         if due[0] != 0:
             return None
         rises = np.flatnonzero(due[1:] != due[:-1]) + 1
-        if len(rises):
-            if (int(due[rises[0]]) < 0) != negative or rises[0] < stepgen.rise_wait[motor]:
-                return None
-            if len(rises) > 1 and int(np.diff(rises).min()) < stepgen.rise_wait_frames:
-                return None
+        # v(0), which brought p to frame 1, may have had the other sign; the distance between later rises needs no
+        # check, because the rate limit lets p move by no more than one step in step length + step space
+        if len(rises) and ((int(due[rises[0]]) < 0) != negative or rises[0] < stepgen.rise_wait[motor]):
+            return None
         step = np.zeros(plays + 1, dtype=np.bool_)
         step[: stepgen.high_frames[motor]] = True
         for offset in range(stepgen.step_length_frames):

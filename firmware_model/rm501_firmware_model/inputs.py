@@ -99,10 +99,8 @@ class Inputs:
         return 1 if self.unsettled == 0 and pins & self.layout.input_pins_mask == self.pins else 0
 
     def frame(self, pins: int, real_frame: int, motion_frame: int, count: list[int], triggers: Triggers) -> int:
-        """One sample of all inputs; the mask of debounced levels that changed."""
+        """One sample of all inputs, when not `quiet`; the mask of debounced levels that changed."""
         self.changed = 0
-        if self.quiet(pins):
-            return 0
         before = self.raw
         self.pins = pins & self.layout.input_pins_mask
         self.raw = self.decode()

@@ -338,3 +338,42 @@ def test_a_configuration_without_hand_status_and_with_a_start_in_ready() -> None
     with pytest.raises(AssertionError):
         holding.go(Segment(0, 5))
     assert SPEED > 0 and Start is not None
+
+
+def test_a_hand_that_turns_round_within_the_space_of_a_pulse() -> None:
+    config = replace(RM501_BOARD, timing=replace(RM501_BOARD.timing, step_space_frames=6))
+    motors = tuple(replace(m, max_rate_steps_s=min(m.max_rate_steps_s, 400)) for m in config.motors.motors)
+    hand = replace(config.hand, pulse_rate_hz=400)
+    config = replace(config, motors=replace(config.motors, motors=motors), hand=hand)
+    from tests.firmware_model.waves import hand_wave
+
+    rig = Rig(config)
+    rig.core.hand.command(5)
+    rig.run(10)
+    rig.core.hand.command(-9)
+    rig.run(200)
+    wave = hand_wave(rig.pins.words())
+    assert timing_violations(wave, config) == []
+    assert rig.core.hand.count == -4
+
+
+def test_the_step_generator_alone() -> None:
+    from rm501_firmware_model.stepgen import StepGenerator
+
+    timing = replace(RM501_BOARD.timing, dir_hold_frames=4)
+    generator = StepGenerator(BoardLayout(replace(RM501_BOARD, timing=timing)))
+    generator.position[0] = 1 << 48  # due at once
+    assert generator.busy() == 1
+    generator.levels()
+    assert (generator.count[0], generator.busy()) == (1, 1)  # STEP is high
+    generator.position[0] = 0  # due the other way while DIR is held
+    levels = []
+    while generator.busy():
+        generator.levels()
+        levels.append((generator.dir_level[0], generator.count[0]))
+    assert levels == [(0, 1), (0, 1), (0, 1), (1, 1), (1, 0), (1, 0)]
+    generator.silence()
+    generator.position[0] = 5 << 48
+    assert generator.busy() == 0  # nothing rises any more
+    generator.levels()
+    assert generator.count[0] == 0

@@ -25,10 +25,11 @@ from rm501_protocol.messages import (
     StatusRequest,
     Truncate,
 )
-from rm501_protocol.segment_message import Segment
+from rm501_protocol.segment_message import MotorTerm, Segment
 from tests.firmware_model.programs import LegalMotion
 from tests.firmware_model.rig import ONE, Rig
 from tests.firmware_model.torture import HOT_BOARD
+from tests.firmware_model.waves import motor_waves, timing_violations
 
 
 def script(seed: int, rig: Rig) -> None:
@@ -131,3 +132,37 @@ def test_a_gated_start_is_waited_for_in_one_stretch() -> None:
     assert boards[0].sent_bytes == boards[1].sent_bytes
     assert np.array_equal(boards[0].pins.words(), boards[1].pins.words())
     assert boards[1].state is BoardState.READY
+
+
+TINY = int(0.0063 * 2**32)  # from one sign to the other within the jump of speed that SLOW_PULSES allows
+REVERSALS = {
+    "a step falls due the other way while DIR is held": ((80, TINY), (300, -TINY)),
+    "a step falls due while DIR is set up": ((79, -TINY), (1, TINY), (300, -TINY)),
+    "the speed turns where a stretch begins": ((79, -TINY), (1, -TINY), (1, 0), (300, TINY), (40, -TINY), (300, TINY)),
+    "to and fro about half a step": ((79, TINY), *((1 + n % 4, TINY * (-1) ** n) for n in range(20)), (200, -TINY)),
+}
+
+
+@pytest.mark.parametrize("pieces", REVERSALS.values(), ids=REVERSALS.keys())
+@pytest.mark.parametrize("first", range(10))
+def test_late_steps_in_the_fast_path(pieces: tuple[tuple[int, int], ...], first: int) -> None:
+    boards = []
+    for kind in (Board, FastBoard):
+        rig = Rig(SLOW_PULSES, board=kind)
+        segments = [
+            rig.segment(length + (first if n == 0 else 0), MotorTerm(2, v)) for n, (length, v) in enumerate(pieces)
+        ]
+        rest = rig.segment(40, flags=SegmentFlag.ENDS_AT_REST)
+        rig.send(*segments[:31], *([] if len(segments) > 31 else [rest]))
+        rig.send(Start())
+        rig.run(1500, 500)
+        for segment in segments[31:]:
+            rig.send(segment)
+        rig.run(200)
+        boards.append(rig)
+    slow, fast = boards
+    assert np.array_equal(slow.pins.words(), fast.pins.words())
+    assert slow.sent_bytes == fast.sent_bytes
+    assert slow.board.positions_q48 == fast.board.positions_q48
+    wave = motor_waves(slow.pins.words(), SLOW_PULSES)[2]
+    assert timing_violations(wave, SLOW_PULSES) == [] and len(wave.rises())

@@ -6,15 +6,19 @@ Rows 8 and 28 are in test_torture and test_states, row 17 in test_commands.
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from rm501_firmware_model import FastBoard, QuietPins
-from rm501_protocol.board_config import InputId
+from rm501_firmware_model import Board, FastBoard, QuietPins, inactive_inputs
+from rm501_protocol.board_config import RM501_BOARD, InputId
+from rm501_protocol.can_transfer import TransferReceiver, TransferSender
 from rm501_protocol.config_pages import OutputSource
 from rm501_protocol.enums import BoardState, Edge, EndCause, HandState, HoldCause, SegmentFlag, TriggerAction
 from rm501_protocol.faults import FAULT_TEXTS, FaultCode, RefusalReason
+from rm501_protocol.framing import PacketCodec
+from rm501_protocol.host_link import HostLink
 from rm501_protocol.link_events import SessionOpened, StopKind
 from rm501_protocol.messages import (
     ArmTrigger,
@@ -29,6 +33,7 @@ from rm501_protocol.messages import (
     SetPower,
     Start,
     TriggerReport,
+    Truncated,
 )
 from rm501_protocol.segment import FRACTION_BITS
 from rm501_protocol.segment_message import MotorTerm, Segment, hand_event
@@ -163,10 +168,6 @@ def test_fault_9_cycle_start_does_nothing_while_the_link_is_gone() -> None:
 
 
 def test_fault_9_idle_silence_switches_power_off_where_configured() -> None:
-    from dataclasses import replace
-
-    from rm501_protocol.board_config import RM501_BOARD
-
     config = replace(RM501_BOARD, link=replace(RM501_BOARD.link, idle_power_off_ms=5000))
     rig = Rig(config)
     rig.cut = True
@@ -438,10 +439,6 @@ def test_fault_16_the_hand_is_bounded_in_pulses_and_time() -> None:
 
 
 def test_the_hand_grips_with_the_pulses_configured_and_runs_on_through_a_hold() -> None:
-    from dataclasses import replace
-
-    from rm501_protocol.board_config import RM501_BOARD
-
     rig = Rig(replace(RM501_BOARD, hand=replace(RM501_BOARD.hand, grip_pulses=30)))
     rig.go(rig.segment(900, flags=REST, events=(hand_event(5, -100),)))
     rig.run(20)
@@ -540,8 +537,6 @@ def test_fault_27_the_board_says_what_it_is_and_refuses_without_a_configuration(
 
 def test_an_unknown_message_and_a_broken_one_are_refused_not_fatal() -> None:
     rig = Rig()
-    from rm501_protocol.messages import Truncated
-
     rig.board._commands.obey(Truncated(5), 3)  # a message that is not for boards
     rig.exchange()
     assert rig.take(Refused).reason is RefusalReason.NOT_SUPPORTED
@@ -613,3 +608,78 @@ def test_a_quiet_environment_for_measurements() -> None:
     assert pins.read_inputs(3) == 5 and pins.inputs_stable_until(9) > 1 << 40
     pins.write_block(0, np.zeros((1, 8), dtype=np.uint32))
     assert ONE == 1 << 24
+
+
+def test_fault_3_a_burst_of_silence_keeps_the_queue_playing() -> None:
+    rig = to_running()
+    before = rig.status()
+    rig.cut = True
+    rig.run(625)  # 200 ms
+    rig.cut = False
+    rig.run(20, 5)
+    after = rig.status()
+    assert (after.state, after.rate) == (BoardState.RUNNING, ONE)
+    assert after.motion_frame == before.motion_frame + 645
+
+
+def test_fault_5_reordered_can_frames_never_make_a_segment_of_two() -> None:
+    rng = random.Random(5)
+    pins = QuietPins(inactive_inputs(RM501_BOARD))
+    board = Board(RM501_BOARD, pins, 9, codec=PacketCodec())
+    host = HostLink(codec=PacketCodec())
+    to_board, to_host = TransferSender(1, from_board=False), TransferSender(1, from_board=True)
+    at_board, at_host = TransferReceiver(1, from_board=False), TransferReceiver(1, from_board=True)
+
+    def exchange(spoil: bool) -> None:
+        now_us = board.frame * board.frame_us
+        frames = [frame for packet in host.packets_to_send(now_us) for frame in to_board.frames(packet)]
+        if spoil and len(frames) > 2:
+            first = rng.randrange(len(frames) - 1)
+            frames[first], frames[first + 1] = frames[first + 1], frames[first]
+        for frame in frames:
+            packet = at_board.feed(frame)
+            if packet is not None:
+                board.receive(packet)
+        for packet in board.transmit_packets():
+            for frame in to_host.frames(packet):
+                whole = at_host.feed(frame)
+                if whole is not None:
+                    host.receive_data(whole, now_us)
+
+    host.connect(1, 0)
+    for _ in range(4):
+        exchange(spoil=False)
+    host.send(SetPower(True))
+    sent = [Segment(100 * n, 100, (MotorTerm(0, n), MotorTerm(4, -n)), hold_slope=n + 1) for n in range(20)]
+    for segment in sent:
+        host.send(segment)
+    for turn in range(1500):
+        exchange(spoil=turn < 400)
+        board.run_until(board.frame + 20)
+    queue = board._core.queue
+    assert queue.count == 20
+    for n in range(20):
+        assert (queue.hold_slope[n], queue.v[n * 6] >> 16, queue.v[n * 6 + 4] >> 16) == (n + 1, n, -n)
+
+
+def test_fault_7_the_board_runs_on_its_own_frames_whatever_the_host_thinks_of_time() -> None:
+    rig = to_running()
+    before = rig.status()
+    for jump_us in (0, 1_000_000, -900_000, 50):
+        for data in (rig.host.data_to_send(rig.now_us + jump_us),):
+            rig.board.receive(data)
+        rig.board.run_until(rig.board.frame + 100)
+    assert rig.core.motion.motion_frame == before.motion_frame + 400
+
+
+def test_fault_19_a_frame_without_end_is_dropped_in_bounded_memory() -> None:
+    rig = to_running()
+    for _ in range(256):
+        rig.board.receive(b"\x55" * 256)
+        rig.board.run_until(rig.board.frame + 2)
+    assert rig.state is BoardState.RUNNING
+    rig.board.receive(b"\x00")
+    rig.host.send(Hold())
+    rig.run(20)
+    assert rig.state is BoardState.HOLDING  # in step again
+    assert rig.status().bad_frames >= 1
