@@ -6,6 +6,9 @@ from .limits import Limits
 from .pieces import Action, EventKind, Law, Piece, PieceEvent, PieceKind
 from .plan import LimitRatios, Plan, PlanSamples
 from .planner import Planner
+from .profiles import PiecewisePolynomial, cubic, fastest_lspb, lspb, quintic, via_spline
+from .run_back import plan_run_back
+from .timed import plan_timed
 
 __all__ = [
     "Action",
@@ -18,10 +21,18 @@ __all__ = [
     "Piece",
     "PieceEvent",
     "PieceKind",
+    "PiecewisePolynomial",
     "Plan",
     "PlanError",
     "PlanSamples",
     "Planner",
     "UnreachableError",
+    "cubic",
+    "fastest_lspb",
+    "lspb",
     "plan_joint_move",
+    "plan_run_back",
+    "plan_timed",
+    "quintic",
+    "via_spline",
 ]

@@ -19,13 +19,14 @@ from math import acos, pi
 import numpy as np
 
 from rm501_host.kinematics import Arm
-from rm501_host.moves import PathMode
+from rm501_host.moves import PathMode, Source
 
 from .elements import Array, Element, ElementTable, Space, hermite
 from .errors import PlanError
 from .geometry import path_points
 from .grid import GridBuilder
 from .limits import Limits
+from .quintic import QuinticCurve
 from .rounding import round_curves, round_lines
 from .timelaw import fastest_speeds, law_duration
 
@@ -54,9 +55,10 @@ SMOOTH = Corner(0.0, 0.0, ())
 class CornerMaker:
     """Decides what happens between two elements."""
 
-    def __init__(self, arm: Arm, limits: Limits, *, parabolic: bool = False) -> None:
+    def __init__(self, arm: Arm, limits: Limits, *, parabolic: bool = False, jerk_limited: bool = False) -> None:
         self._arm = arm
-        self._parabolic = parabolic
+        self._parabolic = parabolic or jerk_limited
+        self._jerk_limited = jerk_limited
         self._judge = GridBuilder(arm, limits, coarse=True)
 
     def between(
@@ -73,9 +75,13 @@ class CornerMaker:
         same = first.space is second.space and first.branch is second.branch
         if same:
             scale = max(float(np.abs(end_slope).max()), float(np.abs(start_slope).max()))
-            if float(np.abs(end_slope - start_slope).max()) <= TANGENT * scale:
+            if float(np.abs(end_slope - start_slope).max()) <= TANGENT * scale and (
+                not self._jerk_limited or _bends_alike(first, second)
+            ):
                 return SMOOTH
         if mode is not PathMode.BLEND or tolerance_mm <= 0.0:
+            return None
+        if self._jerk_limited and not (first.is_straight and second.is_straight):
             return None
         corner = None
         moving = same and first.space is Space.TASK and _is_travel(end_slope) and _is_travel(start_slope)
@@ -126,7 +132,7 @@ class CornerMaker:
         start, start_slope = self._ends(first, first.length - cut, task)
         end, end_slope = self._ends(second, cut, task)
         blend = replace(
-            hermite(space, start, start_slope, end, end_slope, 2.0 * cut, first.source),
+            self._joining(space, start, start_slope, end, end_slope, 2.0 * cut, first.source),
             feed_mm_s=min(first.feed_mm_s, second.feed_mm_s),
             rate=min(first.rate, second.rate),
             is_blend=True,
@@ -140,6 +146,21 @@ class CornerMaker:
         deviation = float(_distances(along, path).max())
         corner = float(_distances(before[-1:], along).max())
         return blend, max(deviation, corner) * 1.001
+
+    def _joining(
+        self,
+        space: Space,
+        start: Array,
+        start_slope: Array,
+        end: Array,
+        end_slope: Array,
+        length: float,
+        source: Source,
+    ) -> Element:
+        if not self._jerk_limited:
+            return hermite(space, start, start_slope, end, end_slope, length, source)
+        curve = QuinticCurve.through(start, start_slope, end, end_slope, length)
+        return Element(space, length, np.zeros((4, 5)), source, curve=curve)
 
     def _ends(self, element: Element, s: float, task: bool) -> tuple[Array, Array]:
         if task or element.space is Space.JOINT:
@@ -169,6 +190,13 @@ class CornerMaker:
     def _duration(self, elements: list[Element]) -> float:
         grid = self._judge.build(ElementTable(elements))
         return law_duration(grid.lines.length, fastest_speeds(grid.lines))
+
+
+def _bends_alike(first: Element, second: Element) -> bool:
+    """Whether the second derivatives agree too, so that no joint's acceleration jumps there."""
+    last = first.evaluate(np.array([first.length]))[2][0]
+    start = second.evaluate(np.zeros(1))[2][0]
+    return bool(np.abs(last - start).max() <= 1e-7 * (1.0 + np.abs(last).max()))
 
 
 def _is_travel(slope: Array) -> bool:

@@ -33,6 +33,8 @@ from rm501_host.moves import (
 from .corners import Corner, CornerMaker
 from .elements import Array, Element
 from .grid import GridBuilder
+from .jerk import JerkLaw
+from .law import PathLaw
 from .limits import Limits
 from .path import PathBuilder
 from .pieces import Action, EventKind, Piece, PieceEvent, PieceKind
@@ -56,6 +58,7 @@ class Planner:
         self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
         self._path = PathBuilder(arm, np.array(start_deg, dtype=np.float64), linear_rapids=config.planner.linear_rapids)
         self._speed_scale = speed_scale
+        self._jerk_limited = config.planner.jerk_limited
         self._mode = PathMode.EXACT_PATH
         self._tolerance_mm = 0.0
         self._start_s = 0.0
@@ -84,7 +87,7 @@ class Planner:
 
     def _set_arm(self) -> None:
         builder = GridBuilder(self._path.arm, self._limits)
-        self._corners = CornerMaker(self._path.arm, self._limits)
+        self._corners = CornerMaker(self._path.arm, self._limits, jerk_limited=self._jerk_limited)
         self._window = Window(self._path.arm, builder, self._frame_s)
 
     def _take(self, move: Move | Action) -> Iterator[Piece]:
@@ -169,7 +172,7 @@ class Planner:
             self._pending, self._used = element, 0.0
             return
         self._pass_corner(pending, element, corner)
-        if len(self._ready) >= CHUNK_ELEMENTS:
+        if len(self._ready) >= CHUNK_ELEMENTS and not self._jerk_limited:
             yield from self._advance()
 
     def _pass_corner(self, pending: Element, element: Element, corner: Corner) -> None:
@@ -199,7 +202,9 @@ class Planner:
             yield self._piece(stretch)
 
     def _piece(self, stretch: Stretch) -> Piece:
-        law = stretch.law
+        law: PathLaw | JerkLaw = stretch.law
+        if self._jerk_limited:
+            law = JerkLaw.over(stretch.law, self._limits, self._frame_s)
         start_s = self._start_s + self._chain_s
         self._chain_s += law.duration_s
         duration = law.duration_s
@@ -219,5 +224,5 @@ class Planner:
             starts_at_rest=stretch.starts_at_rest,
             ends_at_rest=stretch.ends_at_rest,
             motion_s=law.duration_s,
-            arm=law.arm,
+            arm=stretch.law.arm,
         )

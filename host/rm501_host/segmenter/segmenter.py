@@ -311,6 +311,8 @@ class Segmenter:
         inner = (samples.frames[at + 1 : end] - samples.frames[at]).astype(np.float64)
         ideal = samples.steps[at + 1 : end]
         last_speed = samples.speeds[end]
+        # a run that starts beside the ideal (a residue of the last stop) closes in on it
+        tolerance = self._tolerance + float(np.abs(start - samples.steps[at]).max())
         best: tuple[Cubic, float] | None = None
         for cubic in (
             quadratic(target - start, self._speed, frames),
@@ -319,7 +321,7 @@ class Segmenter:
             if not forced and float(np.abs(cubic.end_speed(frames) - last_speed).max()) > 2e-7:
                 continue
             error = float(np.abs(cubic.offsets(inner) + start - ideal).max(initial=0.0))
-            if error > self._tolerance:
+            if error > tolerance:
                 continue
             accelerations = np.stack((2.0 * cubic.c, 2.0 * cubic.c + 6.0 * frames * cubic.d))
             if not forced and self._motors.acceleration_ratio(accelerations) > RATIO:

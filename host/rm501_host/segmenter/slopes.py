@@ -42,7 +42,7 @@ class Slopes:
 
     def local(self, cubic: Cubic, frames: int) -> tuple[float, float]:
         """Hold and stop slope of one polynomial by itself, in rate per real frame."""
-        n = np.linspace(0.0, frames, _SAMPLES)[:, None]
+        n = np.linspace(0.0, frames + 1.0, _SAMPLES)[:, None]
         speed = np.abs(cubic.b + n * (2.0 * cubic.c + 3.0 * n * cubic.d))
         acceleration = np.abs(2.0 * cubic.c + 6.0 * n * cubic.d)
         moving = np.maximum(speed, 1e-12)
