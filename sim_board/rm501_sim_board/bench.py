@@ -155,6 +155,28 @@ class Bench:
             steady = min(steady, switch.steady_frames(frame, angle, bound))
         self._steady_until = frame + max(1, min(steady, NEVER_FRAMES))
 
+    def reclock(self, clock: FrameClock, frame: int) -> None:
+        """From now on frames have another length, and the present one has the number `frame`.
+
+        What was recorded so far is let go; the fingerprint goes on.
+        """
+        before = self.clock
+        self.settle(self._written_periods // before.periods_per_frame)
+        self.clock = clock
+        self._written_periods = self._decoded_periods = frame * clock.periods_per_frame
+        self._settled_frame = frame
+        self._steady_until = 0
+        self._agenda = [
+            (frame + max(0, -(-at * before.frame_us // clock.frame_us) - frame), order, action)
+            for at, order, action in self._agenda
+        ]
+        heapq.heapify(self._agenda)
+        self.boards.set_frame(clock.periods_per_frame)
+        self.recording.restart(clock.periods_per_frame, self._written_periods)
+        for switch in self.switches:
+            switch.reclock(frame, clock.frames_per_second)
+        self.plant.reclock(clock, frame)
+
     # ------------------------------------------------------------ the operator's side
 
     def press(self, button: InputId) -> None:

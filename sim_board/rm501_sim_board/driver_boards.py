@@ -243,6 +243,11 @@ class DriverBoards:
             mask |= 0 if wire is None else 1 << wire.bit
         self._still_mask = np.uint32(mask)
 
+    def set_frame(self, periods_per_frame: int) -> None:
+        """Frames have another number of base periods from now on."""
+        self.periods_per_frame = periods_per_frame
+        self._patterns.clear()
+
     def decode(self, words: WordArray, first_period: int) -> BusActivity:
         """Run the boards over `words`, one per base period, the first of which is `first_period`."""
         per_frame = self.periods_per_frame

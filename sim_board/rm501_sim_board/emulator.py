@@ -42,27 +42,27 @@ class EmulatorOptions:
 class _PinsSinceBoot:
     """The bench as a board sees it whose frames count from its own boot."""
 
-    __slots__ = ("_bench", "_first_frame")
+    __slots__ = ("_bench", "first_frame")
 
     def __init__(self, bench: Bench, first_frame: int) -> None:
         self._bench = bench
-        self._first_frame = first_frame
+        self.first_frame = first_frame
 
     def write_frame(self, frame: int, words: Sequence[int]) -> None:
         """Port words of one frame."""
-        self._bench.write_frame(self._first_frame + frame, words)
+        self._bench.write_frame(self.first_frame + frame, words)
 
     def write_block(self, first_frame: int, words: WordArray) -> None:
         """Port words of whole frames."""
-        self._bench.write_block(self._first_frame + first_frame, words)
+        self._bench.write_block(self.first_frame + first_frame, words)
 
     def read_inputs(self, frame: int) -> int:
         """The input word at the start of `frame`."""
-        return self._bench.read_inputs(self._first_frame + frame)
+        return self._bench.read_inputs(self.first_frame + frame)
 
     def inputs_stable_until(self, frame: int) -> int:
         """First frame at which the inputs may differ from those at `frame`."""
-        return self._bench.inputs_stable_until(self._first_frame + frame) - self._first_frame
+        return self._bench.inputs_stable_until(self.first_frame + frame) - self.first_frame
 
 
 class Emulator:
@@ -73,6 +73,7 @@ class Emulator:
         self.clock = FrameClock(RM501_BOARD.timing.base_period_us, RM501_BOARD.frame_periods)
         self.bench = Bench(options.parameters, seed=options.seed, clock=self.clock, keep_words=options.keep_words)
         self.resets = 0
+        self._config = RM501_BOARD
         self._boots = stream(options.seed, "boot identity")
         self._first_frame = 0
         self._asked_frame = 0
@@ -102,6 +103,8 @@ class Emulator:
         """Bytes arrive at the board, at the present frame; a board in reset hears nothing."""
         if not self.in_reset:
             self.board.receive(data)
+            if self.board.frame_us != self.clock.frame_us or self.board.config is not self._config:
+                self._follow_configuration()
 
     def transmit(self) -> bytes:
         """Bytes that the board has sent since the last call."""
@@ -126,8 +129,25 @@ class Emulator:
         self._first_frame = now + dark_frames
         self.board = self._boot()
 
+    def _follow_configuration(self) -> None:
+        """A configuration was committed: with another frame length the board has recounted its frames."""
+        self._config = self.board.config
+        clock = FrameClock(self._config.timing.base_period_us, self._config.frame_periods)
+        if clock != self.clock:
+            self._first_frame = -(-self._first_frame * self.clock.frame_us // clock.frame_us)
+            self._asked_frame = self._first_frame + self.board.frame
+            self.clock = clock
+            self.pins.first_frame = self._first_frame
+            self.bench.reclock(clock, self.frame)
+
     def _boot(self) -> Board:
-        pins = _PinsSinceBoot(self.bench, self._first_frame)
+        # A new board knows nothing of an earlier one's configuration.
+        default = FrameClock(RM501_BOARD.timing.base_period_us, RM501_BOARD.frame_periods)
+        if self.clock != default:
+            self._first_frame = -(-self._first_frame * self.clock.frame_us // default.frame_us)
+            self.clock = default
+            self.bench.reclock(default, self._first_frame)
+        self.pins = _PinsSinceBoot(self.bench, self._first_frame)
         epoch = int(self._boots.integers(1, 1 << 32))
         codec = PacketCodec() if self.options.packets else None
-        return _BOARDS[self.options.firmware](RM501_BOARD, pins, epoch, codec=codec)
+        return _BOARDS[self.options.firmware](RM501_BOARD, self.pins, epoch, codec=codec)

@@ -151,6 +151,18 @@ class IdealPlant:
             self._consume(activity)
         self._pending.clear()
 
+    def reclock(self, clock: FrameClock, frame: int) -> None:
+        """Frames have another length from now on; the trace starts anew."""
+        self._clock = clock
+        self._first_period = self._period = frame * clock.periods_per_frame
+        start = np.array([self._first_period - 1], dtype=np.int64)
+        self._command_logs = tuple(_Log() for _ in range(ARM_MOTOR_COUNT))
+        self._actual_logs = tuple(_Log() for _ in range(ARM_MOTOR_COUNT))
+        for motor in range(ARM_MOTOR_COUNT):
+            self._command_logs[motor].add(start, np.array([float(self._commanded[motor])]))
+            actual = self._actual[motor] + self._slip_seen[motor]
+            self._actual_logs[motor].add(start, np.array([actual]))
+
     def trace(self) -> MotorTrace:
         """Positions every `TRACE_FRAMES` frames since power-up."""
         per_frame = self._clock.periods_per_frame

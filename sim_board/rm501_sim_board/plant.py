@@ -108,5 +108,8 @@ class Plant(Protocol):
     def joint_speed_bounds_deg_per_frame(self) -> tuple[float, ...]:
         """How fast each joint can possibly move until the next `advance`."""
 
+    def reclock(self, clock: FrameClock, frame: int) -> None:
+        """Frames have another length from now on; the present one is `frame`. The trace starts anew."""
+
     def trace(self) -> MotorTrace:
         """Motor positions from power-up to now."""

@@ -68,7 +68,7 @@ def tuned_servo(
 
 
 def _servo(
-    steps_per_deg: float, inertia: float, loop_hz: float, coulomb: float, limit: float, viscous: float
+    steps_per_deg: float, inertia: float, loop_hz: float, coulomb: float, limit: float, viscous: float, no_load: float
 ) -> ServoParameters:
     return tuned_servo(
         steps_per_deg,
@@ -81,10 +81,10 @@ def _servo(
         stiction_ratio=1.25,
         torque_limit_nm=limit,
         stall_torque_nm=2.0 * limit,
-        no_load_deg_s=60.0,
+        no_load_deg_s=no_load,
         friction_scatter=0.12,
         integral_deadband_steps=3,
-        drift_nm=0.05 * limit,
+        drift_nm=0.06 * limit,
         backlash_deg=0.05,
         compliance_deg_nm=0.002,
     )
@@ -94,15 +94,15 @@ def _servo(
 # an unpowered arm sink slowly rather than fall: both assumptions, chosen so that lag at full speed stays well inside
 # the counter and the arm carries its 1.2 kg but not 8 kg.
 REAL_SERVOS: tuple[ServoParameters, ...] = (
-    _servo(40.0, 1.2, 9.0, 3.0, 35.0, 18.0),
-    _servo(40.0, 1.3, 9.0, 4.0, 45.0, 20.0),
-    _servo(40.0, 0.6, 10.0, 1.2, 18.0, 7.0),
-    _servo(26.66666, 0.08, 10.0, 0.35, 5.0, 0.9),
-    _servo(26.66666, 0.08, 10.0, 0.35, 5.0, 0.9),
+    _servo(40.0, 1.2, 9.0, 3.0, 35.0, 12.0, 110.0),
+    _servo(40.0, 1.3, 9.0, 4.0, 45.0, 15.0, 110.0),
+    _servo(40.0, 0.6, 10.0, 1.2, 18.0, 7.0, 110.0),
+    _servo(26.66666, 0.08, 10.0, 0.35, 5.0, 0.9, 160.0),
+    _servo(26.66666, 0.08, 10.0, 0.35, 5.0, 0.9, 160.0),
 )
 
 # Release edges away from their nominal angles, as a real arm's are before it is calibrated.
-_REAL_SWITCH_ERROR_DEG = (0.33, -0.2, 0.31, 0.18, -0.33)
+_REAL_SWITCH_ERROR_DEG = (0.36, -0.165, 0.31, 0.18, -0.33)
 
 
 def _worn(error_deg: tuple[float, ...], hysteresis: float, scatter: float, bounce: int) -> tuple[SwitchParameters, ...]:

@@ -41,7 +41,19 @@ class Recording:
         self._kept_words = 0
         self._words = 0
         self._digest = hashlib.sha256()
+        self._start_counts = [0] * CHANNEL_COUNT
         self._steps: list[list[Steps]] = [[] for _ in range(CHANNEL_COUNT)]
+
+    def restart(self, periods_per_frame: int, first_period: int) -> None:
+        """Frames have another length: let go what was recorded and count periods from `first_period`."""
+        for motor in range(CHANNEL_COUNT):
+            self._start_counts[motor] += int(self.steps(motor).signs.sum())
+            self._steps[motor] = []
+        self.periods_per_frame = periods_per_frame
+        self.inputs.clear()
+        self._blocks.clear()
+        self._kept_words = 0
+        self._words = self.dropped_words = first_period
 
     @property
     def words_written(self) -> int:
@@ -119,7 +131,7 @@ class Recording:
         for motor in range(CHANNEL_COUNT):
             steps = self.steps(motor)
             sums = np.concatenate(([0], np.cumsum(steps.signs)))
-            out[:, motor] = sums[np.searchsorted(steps.periods, periods, side="left")]
+            out[:, motor] = self._start_counts[motor] + sums[np.searchsorted(steps.periods, periods, side="left")]
         return out
 
     def step_sequence_hash(self) -> str:

@@ -1,6 +1,6 @@
 """Five servo axes carrying the arm: the plant of the presets `real` and `harsh`.
 
-Time runs on two fixed grids from power-up: the loops are sampled every `SAMPLE_FRAMES` frames, gravity, inertia and
+Time runs on two fixed grids from power-up: the loops are sampled every `SAMPLE_US`, gravity, inertia and
 friction are renewed every `SAMPLES_PER_LOAD` samples. Gravity is extrapolated to the middle of that interval from the
 last two, so the error is of second order in its length; `docs/sim-board.md` states it, the tests check it against a
 fine integration. Because both grids are absolute, the result does not depend on how the run was cut into blocks.
@@ -21,7 +21,7 @@ from rm501_sim_board.plant import DEFAULT_COUNTER_LIMIT_STEPS, Disturbances, Fra
 from rm501_sim_board.randomness import stream
 from rm501_sim_board.servo import LEAST_FRICTION_FACTOR, ServoAxis, ServoParameters
 
-SAMPLE_FRAMES = 3  # 0.96 ms at 320 us
+SAMPLE_US = 960  # three frames of 320 us; with other frames, the nearest whole number of them
 SAMPLES_PER_LOAD = 8  # 7.68 ms
 # How near to a stop, in deg, the coupled wrist motors are watched sample by sample.
 _WATCH_DEG = 1.5
@@ -96,11 +96,10 @@ class ServoPlant:
         self._relay = not power_fitted
         # The arm stands on its transport prop until power comes for the first time.
         self._propped = power_fitted
-        step_s = SAMPLE_FRAMES * clock.frame_us * 1e-6
         self._to_joint = tuple(tuple(row) for row in drive_train.joints_from_steps().tolist())
         start_steps = (drive_train.steps_from_joints() @ np.asarray(start_deg)).tolist()
         self.axes = tuple(
-            ServoAxis(p, s, counter_limit_steps, step_s) for p, s in zip(servos, start_steps, strict=True)
+            ServoAxis(p, s, counter_limit_steps, SAMPLE_US * 1e-6) for p, s in zip(servos, start_steps, strict=True)
         )
         self._friction = tuple(
             _Wander(stream(seed, f"friction {m}"), p.friction_scatter, _FRICTION_MEMORY, 1.0 - LEAST_FRICTION_FACTOR)
@@ -110,15 +109,7 @@ class ServoPlant:
             _Wander(stream(seed, f"drift {m}"), p.drift_nm, _DRIFT_MEMORY, 3.0 * p.drift_nm)
             for m, p in enumerate(servos)
         )
-        frame_s = clock.frame_us * 1e-6
-        self._top_steps_per_frame = max(axis.top_speed_steps_s for axis in self.axes) * frame_s
-        self._joint_bounds = tuple(
-            sum(abs(e) * axis.top_speed_steps_s * frame_s for e, axis in zip(row, self.axes, strict=True))
-            + 0.25 * frame_s  # wind-up of the links
-            for row in self._to_joint
-        )
         self._ends = tuple(self._ends_of(motor) for motor in range(ARM_MOTOR_COUNT))
-        self._start_steps = start_steps
         self._links: list[float] = list(start_steps)
         self._fed = [0] * ARM_MOTOR_COUNT
         self._grid_command = [0] * ARM_MOTOR_COUNT
@@ -135,6 +126,21 @@ class ServoPlant:
         self._link_log = tuple(array("d") for _ in range(ARM_MOTOR_COUNT))
         self._encoder_log = tuple(array("d") for _ in range(ARM_MOTOR_COUNT))
         self._command_log = tuple(array("q") for _ in range(ARM_MOTOR_COUNT))
+        self._log_sample = 0
+        self._set_clock(clock)
+
+    def _set_clock(self, clock: FrameClock) -> None:
+        self._clock = clock
+        self._sample_frames = max(1, round(SAMPLE_US / clock.frame_us))
+        frame_s = clock.frame_us * 1e-6
+        for axis in self.axes:
+            axis.step_s = self._sample_frames * frame_s
+        self._top_steps_per_frame = max(axis.top_speed_steps_s for axis in self.axes) * frame_s
+        self._joint_bounds = tuple(
+            sum(abs(e) * axis.top_speed_steps_s * frame_s for e, axis in zip(row, self.axes, strict=True))
+            + 0.25 * frame_s  # wind-up of the links
+            for row in self._to_joint
+        )
 
     # ------------------------------------------------------------ what the bench sees
 
@@ -176,17 +182,29 @@ class ServoPlant:
         fullest = max(abs(axis.content(n)) for axis, n in zip(self.axes, self._grid_command, strict=True))
         fastest = self._max_steps_per_frame + self._top_steps_per_frame
         # Steps fed but not yet on the sample grid count against the margin too.
-        late = self._max_steps_per_frame * SAMPLE_FRAMES
-        return max(1, int((self._limit - fullest - late) / fastest) - SAMPLE_FRAMES)
+        late = self._max_steps_per_frame * self._sample_frames
+        return max(1, int((self._limit - fullest - late) / fastest) - self._sample_frames)
 
     def joint_speed_bounds_deg_per_frame(self) -> tuple[float, ...]:
         """Bound of each joint's speed: no motor turns faster than its no-load speed."""
         return self._joint_bounds
 
+    def reclock(self, clock: FrameClock, frame: int) -> None:
+        """Frames have another length from now on; samples start anew on the grid of the new frames."""
+        self._set_clock(clock)
+        self._sample = self._log_sample = -(-frame // self._sample_frames)
+        for motor, pending in enumerate(self._pending):
+            pending.periods, pending.signs = [], []
+            self._grid_command[motor] = self._fed[motor]
+        for log in (*self._link_log, *self._encoder_log):
+            del log[:]
+        for counts in self._command_log:
+            del counts[:]
+
     def trace(self) -> MotorTrace:
         """Link positions at the end of every sample since power-up."""
         count = len(self._link_log[0])
-        frames = (np.arange(count, dtype=np.int64) + 1) * SAMPLE_FRAMES
+        frames = (np.arange(count, dtype=np.int64) + 1 + self._log_sample) * self._sample_frames
         return MotorTrace(
             frames,
             np.stack([np.array(log, dtype=np.float64) for log in self._command_log], axis=1),
@@ -214,7 +232,7 @@ class ServoPlant:
 
     def advance(self, frame: int) -> None:
         """Run all samples that end at or before the start of `frame`."""
-        first, target = self._sample, frame // SAMPLE_FRAMES
+        first, target = self._sample, frame // self._sample_frames
         if target <= first:
             return
         commands = [self._commands_on_grid(motor, first, target) for motor in range(ARM_MOTOR_COUNT)]
@@ -241,7 +259,7 @@ class ServoPlant:
             return [base] * (target - first + 1)
         periods = pending.periods[0] if len(pending.periods) == 1 else np.concatenate(pending.periods)
         signs = pending.signs[0] if len(pending.signs) == 1 else np.concatenate(pending.signs)
-        per_sample = SAMPLE_FRAMES * self._clock.periods_per_frame
+        per_sample = self._sample_frames * self._clock.periods_per_frame
         grid = np.arange(first, target + 1, dtype=np.int64) * per_sample
         index = np.searchsorted(periods, grid, side="left")
         sums = np.concatenate(([0], np.cumsum(signs)))
@@ -253,7 +271,7 @@ class ServoPlant:
 
     def _apply_changes(self, sample: int, end: int, commands: list[list[int]], first: int) -> int:
         """Let events up to the start of `sample` act; returns where the next one cuts the run."""
-        per_sample = SAMPLE_FRAMES * self._clock.periods_per_frame
+        per_sample = self._sample_frames * self._clock.periods_per_frame
         changes = self._changes
         while changes and changes[0][0] <= sample * per_sample:
             _, kind, value = changes.pop(0)

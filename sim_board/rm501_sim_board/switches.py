@@ -103,6 +103,12 @@ class Switch:
         # A rounding error of a move that just reaches the edge must not break the promise.
         return max(1, min(int(margin_deg / speed_deg_per_frame - 1e-6), until_event))
 
+    def reclock(self, frame: int, frames_per_second: float) -> None:
+        """Frames have another length from `frame` on; a bounce under way ends."""
+        self._frames_per_second = frames_per_second
+        self._toggle_frames = []
+        self._next_glitch_frame = self._draw_glitch(frame)
+
     def restart_glitches(self, frame: int) -> None:
         """The rate of needles has changed: draw the next one anew."""
         self._next_glitch_frame = self._draw_glitch(frame)

@@ -283,3 +283,43 @@ def test_a_pulled_plug_ends_the_transport_and_the_same_url_finds_the_board_again
 def test_a_wrong_url_is_refused_by_name(url, text) -> None:
     with pytest.raises(BenchConfigError, match=text):
         parse_url(url)
+
+
+class _Silent:
+    def phase(self, name: str) -> None:
+        pass
+
+    def progress(self, progress: object) -> None:
+        pass
+
+    def message(self, text: str) -> None:
+        pass
+
+
+@pytest.mark.parametrize("preset", ["ideal", "real"])
+def test_a_configuration_with_another_base_period_is_followed(preset, tmp_path) -> None:
+    from rm501_host.config import load_config
+    from rm501_host.program_run import RunOptions, run_program
+
+    program = tmp_path / "move.ngc"
+    program.write_text("G21 G90\nG0 X240 Y0 Z300 A0 B0\nM2\n")
+    config = load_config(Path(__file__).parents[2] / "configs" / "fast.toml")
+
+    async def main() -> None:
+        url = f"emu://fast?preset={preset}&pose=-149,101,-89,2,-64"
+        result = await run_program(program, config, RunOptions(url, True, lambda: 7), _Silent())
+        assert result.error is None
+        running = running_board("fast")
+        truth = running.truth()
+        emulator = running.emulator
+        assert (emulator.clock.base_period_us, emulator.clock.frame_us) == (20, 160)
+        elapsed_us = asyncio.get_running_loop().time() * 1e6
+        assert emulator.frame * 160 == pytest.approx(elapsed_us, abs=25_000)
+        assert np.linalg.norm(np.array(truth.tcp_mm) - (240.0, 0.0, 300.0)) < (0.2 if preset == "ideal" else 6.0)
+        first, words = emulator.recording.words()
+        assert check_words(words[:80_000], first_period=first) == []
+        trace = truth_trace(emulator.bench)
+        assert trace.t_s[-1] == pytest.approx(elapsed_us * 1e-6, abs=0.03)
+        shut_down("fast")
+
+    run_virtual(main())
