@@ -97,8 +97,10 @@ class ClockEstimator:
         self._jumps = 0
         self._last_jump_us = 0.0
 
-    def restart(self) -> None:
-        """Forget everything but the count of jumps: a new board, or one that restarted."""
+    def restart(self, ticks_per_us: float | None = None) -> None:
+        """Forget everything but the count of jumps: a new board, or one that restarted; perhaps with another rate."""
+        if ticks_per_us is not None:
+            self._ticks_per_us = ticks_per_us
         self._samples.clear()
         self._fit = None
         self._fresh = False

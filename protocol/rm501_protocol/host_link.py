@@ -247,6 +247,8 @@ class HostLink(LinkCore):
         self._window.credit = self.free_slots = header.free_slots
         self._enter(HostInput.IDENTIFIED)
         self._silent = False
+        if self.identify is None or self.identify.boot_id != identify.boot_id:
+            self.clock.restart((identify.clock_hz or 1_000_000) / 1e6)
         self.identify = identify
         self._clock_due_us = now_us
         self._heard(now_us)

@@ -758,6 +758,25 @@ def test_the_clock_is_asked_at_10_hz_and_answered_by_the_link() -> None:
     assert any(isinstance(event, Undecodable) for event in scene.board_events)
 
 
+def test_the_clock_starts_anew_with_a_restarted_board_and_goes_on_in_a_new_session() -> None:
+    scene = Scene().connect()
+    scene.exchange(10, 100_000)
+    samples = scene.host.clock.quality.samples
+    scene.connect()
+    assert scene.host.clock.quality.samples >= samples
+    scene.board = BoardLink(0x2000, Identify(clock_hz=2_000_000))
+    scene.exchange(3, 100_000)
+    scene.connect()
+    assert scene.host.clock.quality.samples <= 2
+    scene.host.clock.restart()
+    scene.host.clock.add(0, 4_000_000, 4_000_000, 0)
+    assert scene.host.clock.board_us(0) == 2_000_000, "ticks of half a microsecond"
+    scene.board = BoardLink(0x3000, Identify(clock_hz=0))
+    scene.exchange(3, 100_000)
+    scene.connect().exchange(3, 100_000)
+    assert scene.host.clock.ready, "a clock without a rate is taken for microseconds, not divided by"
+
+
 def test_a_link_over_packets_needs_no_framing() -> None:
     host, board = HostLink(codec=PacketCodec()), BoardLink(1, Identify(), codec=PacketCodec())
     host.connect(1, 0)
