@@ -24,9 +24,10 @@ from rm501_host.gcode.errors import (
     GcodeWarning,
     Location,
 )
-from rm501_host.gcode.interpreter import Interpreter, Settings, interpret, interpret_file
+from rm501_host.gcode.interpreter import Interpreter, interpret, interpret_file
 from rm501_host.gcode.registry import CODES, Code, Support
 from rm501_host.gcode.resolve import ExternalAction, ResolvedMove, ResolveOptions, Resolver, resolve
+from rm501_host.gcode.settings import Settings
 from rm501_host.gcode.source import FileLines, ProgramLines, TextLines
 from rm501_host.gcode.tools import Tool, ToolTable, load_tool_table, parse_tool_table
 from rm501_host.gcode.user_m import UserMCodeError, find_user_m, run_user_m

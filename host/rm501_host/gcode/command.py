@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     "--subroutines",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     multiple=True,
-    help="Folder with subroutine files; repeat for more. The program's own folder is always searched.",
+    help="Folder with subroutine files; repeat for more. The program's and the current folder are always searched.",
 )
 @click.option(
     "--machine-units",
@@ -50,7 +50,8 @@ def interpret_command(
 ) -> None:
     """Print the canonical calls of PROGRAM, one a line; with --json one object a line."""
     from rm501_host.gcode.canon import Units
-    from rm501_host.gcode.interpreter import Interpreter, Settings
+    from rm501_host.gcode.interpreter import Interpreter
+    from rm501_host.gcode.settings import Settings
     from rm501_host.gcode.source import FileLines
     from rm501_host.gcode.tools import load_tool_table
 
@@ -58,7 +59,7 @@ def interpret_command(
         machine_units=Units.INCH if machine_units == "inch" else Units.MM,
         block_delete=block_delete,
         start_line=start_line,
-        subroutine_path=(program.resolve().parent, *subroutines),
+        subroutine_path=(program.resolve().parent, *subroutines, Path.cwd()),
     )
     as_json = bool(getattr(ctx.obj, "json_output", False))
     source = FileLines.open(program)

@@ -16,14 +16,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
 
 from rm501_host.gcode import canon as c
 from rm501_host.gcode.block import Block
 from rm501_host.gcode.comments import execute_comment, is_active
-from rm501_host.gcode.context import BUILT_IN_USER_M, Context, MachineFeedback, OfflineFeedback, PeerFeedback
+from rm501_host.gcode.context import Context, MachineFeedback, OfflineFeedback, PeerFeedback
 from rm501_host.gcode.coordinates import emit_g5x, emit_g92, emit_rotation
 from rm501_host.gcode.errors import (
     GcodeError,
@@ -39,49 +38,22 @@ from rm501_host.gcode.executor import Evaluated, check_words, end_of_program, ex
 from rm501_host.gcode.expressions import evaluate, parameter_index, to_integer
 from rm501_host.gcode.fast_path import FastPath
 from rm501_host.gcode.flow import Flow, Skip
-from rm501_host.gcode.motion import as_axes
 from rm501_host.gcode.parameters import G5X, G5X_INDEX, G92, G92_ACTIVE, Parameters
 from rm501_host.gcode.parser import column_of, g_modes, m_modes, parse_block, parse_control
 from rm501_host.gcode.registry import M_IO
+from rm501_host.gcode.settings import Settings, default_tools
 from rm501_host.gcode.source import FileLines, ProgramLines, TextLines
+from rm501_host.gcode.start_line import moves_machine, restore_for_start
 from rm501_host.gcode.state import State
-from rm501_host.gcode.tools import PEER_DEFAULT_TOOLS, ToolTable
+from rm501_host.gcode.tools import ToolTable
+
+__all__ = ["Interpreter", "Settings", "interpret", "interpret_file"]
 
 BLOCK_CACHE = 4096
 """Parsed blocks kept: more than any loop has, a few MB at most."""
 HEARTBEAT_BLOCKS = 10_000
 MAX_WARNINGS = 1000
 _PERCENT = re.compile(r"\s*%\s*\Z")
-_MOTIONS = c.StraightFeed | c.StraightTraverse | c.ArcFeed | c.NurbsFeed
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """How to read programs. The defaults are the arm's; `as_peer` is `rs274 -g`'s."""
-
-    machine_units: c.Units = c.Units.MM
-    """Unit of the variable file, the tool table and #5161 to #5390."""
-    block_delete: bool = False
-    """Skip blocks that begin with `/`."""
-    subroutine_path: tuple[Path, ...] = ()
-    """Folders searched for `NAME.ngc` when a called subroutine is not in the program."""
-    user_m: Mapping[int, c.UserMKind] = field(default_factory=lambda: dict(BUILT_IN_USER_M))
-    peer_standalone: bool = False
-    start_line: int = 1
-    """Begin at this line (from 1) of the main program, with the modes its earlier lines leave behind."""
-    max_blocks: int | None = None
-    """End with an error after so many blocks; None reads on for ever."""
-
-    @classmethod
-    def as_peer(cls, **changes: object) -> Settings:
-        """The settings under which listings compare with `rs274 -g`: machine units inch."""
-        base: dict[str, object] = {"machine_units": c.Units.INCH, "peer_standalone": True}
-        return cls(**{**base, **changes})  # type: ignore[arg-type]  # the fields' own types hold at run time
-
-
-def default_tools(settings: Settings) -> ToolTable:
-    """An empty table, or the peer's built-in one."""
-    return ToolTable(PEER_DEFAULT_TOOLS if settings.peer_standalone else ())
 
 
 class Interpreter:
@@ -313,44 +285,14 @@ class Interpreter:
         )
 
     def _pass_over(self, starting: int) -> None:
-        """Drop the calls of blocks before the start line; refuse those whose outcome only the machine knows."""
-        for call in self._out:
-            if isinstance(call, c.WaitInput | c.StraightProbe):
-                raise GcodeFlowError(
-                    f"cannot start at line {starting}: this block before it asks the machine",
-                    "Start before it, or remove it.",
-                )
-            self._moved = self._moved or isinstance(call, _MOTIONS)
+        self._moved = moves_machine(self._out, starting) or self._moved
         self._out.clear()
 
     def _begin_here(self, line: int, text: str) -> None:
         """Restore what the lines before have set, then go to where they left the tool."""
-        state, ctx, out = self.state, self._context, self._out
-        out.clear()
-        ctx.at = at = Location(self.source.name, line, text)
-        out.append(c.UseLengthUnits(state.units, at))
-        out.append(c.SelectPlane(state.plane, at))
-        emit_g5x(ctx)
-        emit_g92(ctx)
-        emit_rotation(ctx)
-        if state.current_tool:
-            out.append(c.SelectTool(state.current_tool, at))
-            out.append(c.ChangeTool(state.current_tool, ctx.tools.index(state.current_tool), at))
-        if any(state.tool_offset):
-            out.append(c.UseToolLengthOffset(as_axes(state.tool_offset), at))
-        out.append(c.SetFeedRate(state.feed, at))
-        out.append(c.SetMotionControlMode(state.control_mode, state.control_tolerance, at))
-        if state.control_mode is c.MotionMode.CONTINUOUS:
-            out.append(c.SetNaivecamTolerance(state.naivecam_tolerance, at))
-        if state.spindle:
-            out.append(c.SetSpindleSpeed(state.speed, at))
-            signals = c.Signal.START_SPINDLE_CLOCKWISE, c.Signal.START_SPINDLE_COUNTERCLOCKWISE
-            out.append(c.SignalCall(signals[0] if state.spindle > 0 else signals[1], at))
-        for on, signal in ((state.mist, c.Signal.MIST_ON), (state.flood, c.Signal.FLOOD_ON)):
-            if on:
-                out.append(c.SignalCall(signal, at))
-        if self._moved:
-            out.append(c.StraightTraverse(as_axes(state.position), at))
+        self._out.clear()
+        self._context.at = Location(self.source.name, line, text)
+        restore_for_start(self._context, moved=self._moved)
 
     def _take_answer(self) -> None:
         pending, self._context.pending = self._context.pending, None
