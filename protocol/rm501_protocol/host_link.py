@@ -241,6 +241,7 @@ class HostLink(LinkCore):
         self._hello_due_us = None
         self._restart_channels()
         self._epoch = header.epoch
+        self._remember_epoch((header.epoch - 1) & 0xFFFF)  # what the board sent before this handshake may come late
         if header.epoch in self._old_epochs:
             self._old_epochs.remove(header.epoch)
         self._generation = header.generation

@@ -238,6 +238,15 @@ def _status_fields() -> tuple:
     )
 
 
+def test_what_the_board_sent_before_the_handshake_may_come_after_it() -> None:
+    scene = Scene()
+    scene.board.send(Status(*_status_fields()))
+    early = scene.from_board()
+    scene.connect()
+    scene.to_host(early)
+    assert scene.host.is_open and scene.host_events == []
+
+
 def test_every_transition_of_the_tables_is_reachable_and_no_other_is_listed() -> None:
     assert set(HOST_TRANSITIONS.values()) == set(HostState)
     assert BOARD_TRANSITIONS[BoardSessionState.CLOSED, BoardInput.NEW_HELLO] is BoardSessionState.OPEN
