@@ -113,11 +113,18 @@ class Interpreter:
         """Ask the interpreter to stop: the next block raises GcodeStoppedError. May be called from another thread."""
         self._stop = True
 
-    def set_position(self, machine_mm_deg: tuple[float, float, float, float, float, float]) -> None:
-        """Tell where the tool is before the first block: machine coordinates, mm and deg."""
-        factor = self.state.units.mm
-        machine = [v / factor if i < 3 else v for i, v in enumerate(machine_mm_deg)]
-        self.state.position = self.state.program_position(machine)
+    def set_position(self, tool_centre_mm_deg: tuple[float, float, float, float, float, float]) -> None:
+        """Tell where the tool centre point is: program frame (G53), mm and deg, with the tool length in force.
+
+        Before the first block, after a joint move, and after a change of tool length: words that a block leaves out then
+        have their true values. Takes effect on the next block.
+        """
+        state = self.state
+        factor = state.units.mm
+        machine = [v / factor if i < 3 else v for i, v in enumerate(tool_centre_mm_deg)]
+        # `program_position` takes the point that carries the tool, the caller gives the tool's own
+        state.position = state.program_position([a + b for a, b in zip(machine, state.tool_offset, strict=True)])
+        state.tool_unplaced = False
 
     def calls(self) -> Iterator[c.CanonCall]:
         """The canonical calls of the program, lazily. Raises GcodeError; what came before it has been yielded."""

@@ -357,3 +357,24 @@ def test_executables_that_fail_or_hang(tmp_path: Path) -> None:
         run_user_m(tmp_path, 107, None, None, timeout_s=0.05)
     with pytest.raises(UserMCodeError, match="cannot be run"):
         run_user_m(tmp_path, 108, None, None)
+
+
+# -- where the tool is
+
+
+def test_the_consumer_tells_where_the_tool_is() -> None:
+    """After a joint move and after a tool length the next incremental move starts from the place that was told."""
+    text = "G20\nG10 L2 P2 X1 R90\nG55\nM110 P1 Q30\nG91 G0 X1\nG43.1 Z2\nG0 Y1\nM2"
+    interpreter = Interpreter(TextLines(text), Settings())
+    interpreter.set_position((10.0, 20.0, 30.0, 1.0, 2.0, 3.0))
+    targets = []
+    for move in resolve(interpreter.calls()):
+        if isinstance(move, mv.JointMove):
+            interpreter.set_position((100.0, 50.0, 25.0, 0.0, 5.0, 0.0))
+        elif isinstance(move, mv.ToolChange):
+            interpreter.set_position((7.0, 8.0, 9.0, 0.0, 5.0, 0.0))
+        elif isinstance(move, mv.RapidMove):
+            targets.append(move.target)
+    assert targets[0] == pytest.approx((100.0, 50.0 + 25.4, 25.0, 0.0, 5.0, 0.0))
+    assert targets[1] == pytest.approx((7.0 - 25.4, 8.0, 9.0, 0.0, 5.0, 0.0))
+    assert interpreter.warnings == []
