@@ -116,8 +116,8 @@ class Interpreter:
     def set_position(self, tool_centre_mm_deg: tuple[float, float, float, float, float, float]) -> None:
         """Tell where the tool centre point is: program frame (G53), mm and deg, with the tool length in force.
 
-        Before the first block, after a joint move, and after a change of tool length: words that a block leaves out then
-        have their true values. Takes effect on the next block.
+        Before the first block, after a joint move and after a change of tool length: then words that a block leaves
+        out have their true values. Takes effect on the next block.
         """
         state = self.state
         factor = state.units.mm
@@ -222,6 +222,7 @@ class Interpreter:
             index = flow.pc
             local = index - base
             if not 0 <= local < len(lines):
+                ctx.at = Location(source.name, index + 1)
                 base, lines = source.block(index)
                 local = index - base
                 if not lines:
@@ -315,6 +316,7 @@ class Interpreter:
         """Skip empty lines; True when the program is bracketed by percent signs."""
         flow = self._flow
         index = 0
+        self._context.at = Location(flow.source.name, 1)
         while True:
             base, lines = flow.source.block(index)
             if not lines:
