@@ -20,6 +20,7 @@ from rm501_host.errors import RefusedError
 from rm501_host.machine import operations
 from rm501_host.machine.jobs import Job
 from rm501_host.machine.status import MachineStatus
+from rm501_host.machine.verify import verify
 from rm501_protocol.link_events import StopKind
 from rm501_protocol.messages import SetOutputs
 
@@ -234,6 +235,12 @@ class HomeParams(_Params, frozen=True):
 async def _home(client: Client, params: HomeParams) -> object:
     """Home joints on their switches, in the configured sequence."""
     return _started(operations.home(client.machine, client.owner, params.joints))
+
+
+@api.method("verify", HomeParams, Access.FULL, result=MOTION)
+async def _verify(client: Client, params: HomeParams) -> object:
+    """Touch the switches of homed joints again and measure lost steps; the result has them per joint."""
+    return _started(verify(client.machine, client.owner, params.joints))
 
 
 class JointsParams(_Params, frozen=True):

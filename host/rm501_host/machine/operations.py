@@ -29,7 +29,7 @@ _WRIST = (3, 4)
 
 def home(machine: Machine, who: Owner, joints: Sequence[str] = ()) -> Job:
     """Home joints (all without names) in the configured sequence; the wrist's two joints home together."""
-    wanted = set(_indices(joints)) or set(range(len(JOINT_NAMES)))
+    wanted = set(joint_indices(joints)) or set(range(len(JOINT_NAMES)))
     if wanted & set(_WRIST):
         wanted |= set(_WRIST)
     order = sorted(wanted, key=lambda index: machine.config.joints.ordered[index].home.sequence)
@@ -102,7 +102,8 @@ async def _play(machine: Machine, plan: object) -> None:
         await machine.stream.play(pieces)
 
 
-def _indices(joints: Sequence[str]) -> list[int]:
+def joint_indices(joints: Sequence[str]) -> list[int]:
+    """Numbers 0..4 of joints by name; raises RefusedError for others."""
     found = []
     for name in joints:
         if name not in JOINT_NAMES:
