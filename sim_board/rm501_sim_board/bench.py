@@ -11,6 +11,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -146,13 +147,13 @@ class Bench:
         if self._agenda:
             steady = min(steady, self._agenda[0][0] - frame)
         angles = self.plant.joint_deg
-        bounds = self.plant.joint_speed_bounds_deg_per_frame()
+        travel = self.plant.frames_to_travel
         for joint, side, at_deg, _ in self._watches:
-            steady = min(steady, max(1, int(side * (at_deg - angles[joint]) / bounds[joint])))
-        for switch, angle, bound in zip(self.switches, angles, bounds, strict=True):
+            steady = min(steady, max(1, travel(joint, side * (at_deg - angles[joint]))))
+        for joint, switch in zip(Joint, self.switches, strict=True):
             if steady <= 1:
                 break
-            steady = min(steady, switch.steady_frames(frame, angle, bound))
+            steady = min(steady, switch.steady_frames(frame, angles[joint], partial(travel, joint)))
         self._steady_until = frame + max(1, min(steady, NEVER_FRAMES))
 
     def reclock(self, clock: FrameClock, frame: int) -> None:

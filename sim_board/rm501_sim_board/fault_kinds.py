@@ -283,22 +283,27 @@ def _lost_steps(board: PacedBoard, values: Mapping[str, Value]) -> None:
 
 
 def _load(board: PacedBoard, values: Mapping[str, Value]) -> Undo:
-    torques = board.emulator.bench.plant.disturbances.load_torque_nm
+    bench = board.emulator.bench
+    torques = bench.plant.disturbances.load_torque_nm
     motor = _motor(values["motor"])
     torques[motor] += _number(values["nm"])
+    bench.world_changed()
 
     def undo() -> None:
         torques[motor] -= _number(values["nm"])
+        bench.world_changed()
 
     return undo
 
 
 def _payload(board: PacedBoard, values: Mapping[str, Value]) -> Undo:
-    disturbances = board.emulator.bench.plant.disturbances
-    disturbances.payload_kg = _number(values["kg"])
+    bench = board.emulator.bench
+    bench.plant.disturbances.payload_kg = _number(values["kg"])
+    bench.world_changed()
 
     def undo() -> None:
-        disturbances.payload_kg = 0.0
+        bench.plant.disturbances.payload_kg = 0.0
+        bench.world_changed()
 
     return undo
 

@@ -132,9 +132,10 @@ class IdealPlant:
             fullest = max(abs(error) for error in self.counter_error_steps)
         return max(1, int((self._limit - fullest) / self._max_steps_per_frame) - 1)
 
-    def joint_speed_bounds_deg_per_frame(self) -> tuple[float, ...]:
-        """Bound of each joint's speed, from what the bus can command."""
-        return self._joint_bounds
+    def frames_to_travel(self, joint: int, distance_deg: float) -> int:
+        """From the fastest steps that the bus can command."""
+        # A rounding error of a move that just reaches the distance must not break the promise.
+        return int(distance_deg / self._joint_bounds[joint] - 1e-6)
 
     def feed(self, activity: BusActivity) -> None:
         """Take a decoded block."""

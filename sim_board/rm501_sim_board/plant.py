@@ -105,8 +105,8 @@ class Plant(Protocol):
     def steady_frames(self) -> int:
         """For how many frames no overflow line can change, whatever is commanded."""
 
-    def joint_speed_bounds_deg_per_frame(self) -> tuple[float, ...]:
-        """How fast each joint can possibly move until the next `advance`."""
+    def frames_to_travel(self, joint: int, distance_deg: float) -> int:
+        """Frames for which `joint` surely moves less than that, whatever is commanded; may be 0."""
 
     def reclock(self, clock: FrameClock, frame: int) -> None:
         """Frames have another length from now on; the present one is `frame`. The trace starts anew."""

@@ -85,6 +85,16 @@ class ServoAxis:
         """No motion of this axis is ever faster."""
         return self._top_speed
 
+    @property
+    def slack_steps(self) -> float:
+        """How far the link can move while the motor stands: backlash, and a change of wind-up by 5 Nm."""
+        return 2.0 * self._half_backlash + 5.0 * self._compliance
+
+    def largest_acceleration(self, gravity_nm: float) -> float:
+        """No torque turns this axis faster: steps/s2, with room for a load that the hand may take meanwhile."""
+        p = self.parameters
+        return (1.5 * p.torque_limit_nm + 1.5 * abs(gravity_nm)) / (p.inertia_kg_m2 * self._rad_per_step)
+
     def content(self, commanded: int) -> float:
         """Content of the up/down counter, saturated at its ends."""
         limit = self.counter_limit_steps

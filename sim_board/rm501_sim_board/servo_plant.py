@@ -11,6 +11,7 @@ from __future__ import annotations
 from array import array
 from dataclasses import dataclass, field
 from enum import IntEnum
+from math import sqrt
 
 import numpy as np
 
@@ -67,6 +68,13 @@ class _Wander:
                 self._last = self._memory * self._last + self._drive * draw
                 self._values.append(min(max(self._last, -self._limit), self._limit))
         return self._values[interval]
+
+
+def _time_to_cover(distance: float, speed: float, acceleration: float) -> float:
+    """Time in which `distance` is covered from `speed` with `acceleration`; 0 when it is not positive."""
+    if distance <= 0.0:
+        return 0.0
+    return (sqrt(speed * speed + 2.0 * acceleration * distance) - speed) / acceleration
 
 
 class ServoPlant:
@@ -132,14 +140,16 @@ class ServoPlant:
     def _set_clock(self, clock: FrameClock) -> None:
         self._clock = clock
         self._sample_frames = max(1, round(SAMPLE_US / clock.frame_us))
-        frame_s = clock.frame_us * 1e-6
         for axis in self.axes:
-            axis.step_s = self._sample_frames * frame_s
-        self._top_steps_per_frame = max(axis.top_speed_steps_s for axis in self.axes) * frame_s
-        self._joint_bounds = tuple(
-            sum(abs(e) * axis.top_speed_steps_s * frame_s for e, axis in zip(row, self.axes, strict=True))
-            + 0.25 * frame_s  # wind-up of the links
+            axis.step_s = self._sample_frames * clock.frame_us * 1e-6
+        self._reach_now: list[tuple[float, float]] | None = None
+        self._top_deg_s = tuple(
+            sum(abs(e) * axis.top_speed_steps_s for e, axis in zip(row, self.axes, strict=True))
             for row in self._to_joint
+        )
+        # A link may fall from one flank of its gear to the other at any time.
+        self._slack_deg = tuple(
+            sum(abs(e) * axis.slack_steps for e, axis in zip(row, self.axes, strict=True)) for row in self._to_joint
         )
 
     # ------------------------------------------------------------ what the bench sees
@@ -177,17 +187,36 @@ class ServoPlant:
 
     def steady_frames(self) -> int:
         """Frames for which no overflow line can change."""
-        if any(axis.overflowed for axis in self.axes):
-            return 1
-        fullest = max(abs(axis.content(n)) for axis, n in zip(self.axes, self._grid_command, strict=True))
-        fastest = self._max_steps_per_frame + self._top_steps_per_frame
+        frames = 1 << 30
+        frame_s = self._clock.frame_us * 1e-6
+        command_steps_s = self._max_steps_per_frame / frame_s
         # Steps fed but not yet on the sample grid count against the margin too.
-        late = self._max_steps_per_frame * self._sample_frames
-        return max(1, int((self._limit - fullest - late) / fastest) - self._sample_frames)
+        room = self._limit - 1.0 - self._max_steps_per_frame * self._sample_frames
+        for axis, command, (speed, push) in zip(self.axes, self._grid_command, self._reach(), strict=True):
+            if axis.overflowed:
+                return 1
+            time_s = _time_to_cover(room - abs(axis.content(command)), command_steps_s + speed, push)
+            frames = min(frames, int(time_s / frame_s))
+        return max(1, frames - self._sample_frames)
 
-    def joint_speed_bounds_deg_per_frame(self) -> tuple[float, ...]:
-        """Bound of each joint's speed: no motor turns faster than its no-load speed."""
-        return self._joint_bounds
+    def frames_to_travel(self, joint: int, distance_deg: float) -> int:
+        """From the present speeds and the largest torques; no motor is ever faster than without load."""
+        speed = push = 0.0
+        for entry, (motor_speed, motor_push) in zip(self._to_joint[joint], self._reach(), strict=True):
+            speed += abs(entry) * motor_speed
+            push += abs(entry) * motor_push
+        distance_deg -= self._slack_deg[joint]
+        time_s = max(_time_to_cover(distance_deg, speed, push), distance_deg / self._top_deg_s[joint])
+        return int(time_s / (self._clock.frame_us * 1e-6)) - self._sample_frames
+
+    def _reach(self) -> list[tuple[float, float]]:
+        """Speed and largest possible acceleration of each motor, steps/s and steps/s2; renewed by `advance`."""
+        if self._reach_now is None:
+            self._reach_now = [
+                (abs(axis.speed_steps_s), axis.largest_acceleration(gravity))
+                for axis, gravity in zip(self.axes, self._gravity_nm, strict=True)
+            ]
+        return self._reach_now
 
     def reclock(self, clock: FrameClock, frame: int) -> None:
         """Frames have another length from now on; samples start anew on the grid of the new frames."""
@@ -235,6 +264,7 @@ class ServoPlant:
         first, target = self._sample, frame // self._sample_frames
         if target <= first:
             return
+        self._reach_now = None
         commands = [self._commands_on_grid(motor, first, target) for motor in range(ARM_MOTOR_COUNT)]
         self._changes.sort()
         sample = first

@@ -11,6 +11,7 @@ often the switch was read.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,10 +85,11 @@ class Switch:
                 self._next_glitch_frame = self._draw_glitch(frame)
         return level if self.stuck is None else self.stuck
 
-    def steady_frames(self, frame: int, joint_deg: float, speed_deg_per_frame: float) -> int:
-        """For how many frames from `frame` on the contact cannot change while the joint moves at most that fast.
+    def steady_frames(self, frame: int, joint_deg: float, frames_to_travel: Callable[[float], int]) -> int:
+        """For how many frames from `frame` on the contact cannot change; at least 1.
 
-        To be asked at the frame at which `level` was read last; at least 1.
+        `frames_to_travel` tells for how long the joint surely moves less than a distance in deg. To be asked at the
+        frame at which `level` was read last.
         """
         if self.stuck is not None:
             return _NEVER_FRAME
@@ -98,10 +100,7 @@ class Switch:
             return 1
         depth_deg = self._depth_deg(joint_deg)
         margin_deg = depth_deg if self._pressed else self.parameters.hysteresis_deg - depth_deg
-        if speed_deg_per_frame <= 0.0:
-            return until_event
-        # A rounding error of a move that just reaches the edge must not break the promise.
-        return max(1, min(int(margin_deg / speed_deg_per_frame - 1e-6), until_event))
+        return max(1, min(frames_to_travel(margin_deg), until_event))
 
     def reclock(self, frame: int, frames_per_second: float) -> None:
         """Frames have another length from `frame` on; a bounce under way ends."""

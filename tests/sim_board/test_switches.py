@@ -79,5 +79,5 @@ def test_the_promise_of_steadiness_is_kept(seed, moves) -> None:
         level = every.level(frame, angle)
         if frame >= promised_until:
             promised = lazy.level(frame, angle)
-            promised_until = frame + lazy.steady_frames(frame, angle, bound)
+            promised_until = frame + lazy.steady_frames(frame, angle, lambda d: int(d / bound - 1e-6))
         assert level == promised, frame
