@@ -25,6 +25,7 @@ from rm501_host.gcode.errors import (
     Location,
 )
 from rm501_host.gcode.interpreter import Interpreter, interpret, interpret_file
+from rm501_host.gcode.program_log import ProgramLog
 from rm501_host.gcode.registry import CODES, Code, Support
 from rm501_host.gcode.resolve import ExternalAction, ResolvedMove, ResolveOptions, Resolver, resolve
 from rm501_host.gcode.settings import Settings
@@ -59,6 +60,7 @@ __all__ = [
     "OfflineFeedback",
     "ProbeResult",
     "ProgramLines",
+    "ProgramLog",
     "ResolveOptions",
     "ResolvedMove",
     "Resolver",
