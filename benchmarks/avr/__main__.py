@@ -34,6 +34,7 @@ TARGET_CYCLES = 384
 FRAMES = (900, 700, 1500)
 """Frames before the hold, holding, and after it."""
 MOTORS = 5
+COMPILER_FLAGS = ("-O3", "-Wall", "-Wextra", "-std=gnu11")
 Outcome = tuple[int, int, tuple[tuple[int, int, int], ...]]
 
 
@@ -51,7 +52,7 @@ class Measurement:
 
 
 def program(seed: int) -> list[Segment]:
-    """Segments near every limit, the same for chip and reference: all motors at full rate, turning round, short pieces."""
+    """Segments near every limit, the same for chip and reference: full rates, reversals, short pieces."""
     return swinging_program(random.Random(seed), 12)[:30]
 
 
@@ -103,8 +104,10 @@ def measure(segments: list[Segment], cubic: bool) -> Measurement:
         header.write_text("".join(f"#define {name} {value}\n" for name, value in defines.items()))
         elf = Path(folder) / "tick.elf"
         subprocess.run(
-            ["avr-gcc", "-mmcu=atmega2560", "-O3", "-Wall", "-Wextra", "-std=gnu11", "-include", str(header)]
-            + ["-I", str(HERE), str(HERE / "main.c"), "-o", str(elf)],
+            [
+                *("avr-gcc", "-mmcu=atmega2560", *COMPILER_FLAGS, "-include", str(header), "-I", str(HERE)),
+                *(str(HERE / "main.c"), "-o", str(elf)),
+            ],
             check=True,
         )
         size = subprocess.run(["avr-size", str(elf)], check=True, capture_output=True, text=True)

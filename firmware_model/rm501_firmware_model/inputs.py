@@ -120,8 +120,6 @@ class Inputs:
                 bit = 1 << triggers.input_id[trigger]
                 if begun & bit:
                     triggers.latch(trigger, real_frame, motion_frame, count)
-                elif self.unsettled & bit == 0 and self.changed & bit == 0:
-                    triggers.latched[trigger] = 0
         self.active ^= self.changed
         return self.changed
 

@@ -372,8 +372,16 @@ def test_the_step_generator_alone() -> None:
         generator.levels()
         levels.append((generator.dir_level[0], generator.count[0]))
     assert levels == [(0, 1), (0, 1), (0, 1), (1, 1), (1, 0), (1, 0)]
+    generator.position[0] = 3 << 48
+    rises = []
+    for frame in range(12):
+        before = generator.count[0]
+        generator.levels()
+        if generator.count[0] != before:
+            rises.append(frame)
+    assert len(rises) == 3 and np.diff(rises).tolist() == [2, 2]  # late steps: one every other frame
     generator.silence()
-    generator.position[0] = 5 << 48
+    generator.position[0] = 8 << 48
     assert generator.busy() == 0  # nothing rises any more
     generator.levels()
-    assert generator.count[0] == 0
+    assert generator.count[0] == 3

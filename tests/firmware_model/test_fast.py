@@ -149,16 +149,12 @@ def test_late_steps_in_the_fast_path(pieces: tuple[tuple[int, int], ...], first:
     boards = []
     for kind in (Board, FastBoard):
         rig = Rig(SLOW_PULSES, board=kind)
-        segments = [
-            rig.segment(length + (first if n == 0 else 0), MotorTerm(2, v)) for n, (length, v) in enumerate(pieces)
-        ]
-        rest = rig.segment(40, flags=SegmentFlag.ENDS_AT_REST)
-        rig.send(*segments[:31], *([] if len(segments) > 31 else [rest]))
-        rig.send(Start())
+        (length, v), *others = pieces
+        segments = [rig.segment(length + first // 4, MotorTerm(2, v))]
+        segments += [rig.segment(length, MotorTerm(2, v)) for length, v in others]
+        rig.go(*segments, rig.segment(40, flags=SegmentFlag.ENDS_AT_REST))
+        rig.run(82 + first, 100)  # where the next stretch begins
         rig.run(1500, 500)
-        for segment in segments[31:]:
-            rig.send(segment)
-        rig.run(200)
         boards.append(rig)
     slow, fast = boards
     assert np.array_equal(slow.pins.words(), fast.pins.words())

@@ -19,11 +19,12 @@ from rm501_protocol.enums import BoardState, Edge, EndCause, HandState, HoldCaus
 from rm501_protocol.faults import FAULT_TEXTS, FaultCode, RefusalReason
 from rm501_protocol.framing import PacketCodec
 from rm501_protocol.host_link import HostLink
-from rm501_protocol.link_events import SessionOpened, StopKind
+from rm501_protocol.link_events import GenerationAdvanced, SessionOpened, StopKind
 from rm501_protocol.messages import (
     ArmTrigger,
     FaultReport,
     Hold,
+    Lease,
     MotionEnded,
     Refused,
     Reset,
@@ -158,9 +159,12 @@ def test_fault_9_cycle_start_does_nothing_while_the_link_is_gone() -> None:
     rig = to_running()
     rig.cut = True
     rig.run_to(BoardState.HELD, step=20)
+    stood = rig.core.motion.motion_frame
     rig.pins.toggle(InputId.CYCLE_START)
-    rig.run(100)
-    assert rig.state is BoardState.HELD
+    for _ in range(100):
+        rig.run(1)
+        assert rig.state is BoardState.HELD
+    assert rig.core.motion.motion_frame == stood
     rig.cut = False
     rig.run(20)
     rig.send(Resume())
@@ -292,6 +296,28 @@ def test_triggers_on_the_other_edge_latching_only_and_in_mid_bounce() -> None:
     rig.messages.clear()
     rig.run_to(BoardState.READY)
     assert rig.status().armed_triggers == 1
+
+
+@pytest.mark.parametrize("end", ["trigger", "lease", "overflow"])
+def test_what_was_in_flight_when_the_board_stopped_by_itself_never_runs(end: str) -> None:
+    rig = Rig()
+    jog = end == "lease"
+    rig.send(Lease(1000))
+    rig.go(*cruise(rig, jog=jog))
+    rig.send(ArmTrigger(0, InputId.SWITCH_ELBOW, Edge.RISING))
+    rig.run(2500)
+    if end == "lease":
+        rig.send(Lease(1))
+    else:
+        rig.pins.toggle(InputId.SWITCH_ELBOW if end == "trigger" else InputId.OVERFLOW_724)
+    rig.board.run_until(rig.board.frame + 8000)
+    assert rig.state is (BoardState.FAULT if end == "overflow" else BoardState.READY)
+    # the host does not know yet; what it sends now fits the end of the queue to the bit
+    rig.host.send(Segment(rig.core.checker.end_frame, 100))
+    rig.exchange()
+    assert rig.core.queue.count == 0
+    assert any(isinstance(event, GenerationAdvanced) for event in rig.events)
+    assert not rig.got(Refused)  # dropped by the link, so that host and board agree on what was said since
 
 
 @pytest.mark.parametrize("state", ["held", "ready"])
