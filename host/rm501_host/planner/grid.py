@@ -220,8 +220,9 @@ class GridBuilder:
         x = np.minimum(x_plain, mvc(am, bm, limit, x_plain))
         x = np.maximum(x, np.minimum(cap_a, mvc(a0, b0, limit, cap_a)))
         x = np.maximum(x, np.minimum(cap_b, mvc(a1, b1, limit, cap_b)))
-        size = np.maximum(np.abs(am), 1e-300)
-        u = ((self._bounds + np.abs(bm) * x[:, None]) / size).min(axis=1)
+        u = np.zeros(len(x))
+        for a, b in ((a0, b0), (am, bm), (a1, b1)):
+            u = np.maximum(u, ((self._bounds + np.abs(b) * x[:, None]) / np.maximum(np.abs(a), 1e-300)).min(axis=1))
         bend = (
             np.abs(am - 0.5 * (a0 + a1)) * u[:, None]
             + np.abs(bm - 0.5 * (b0 + b1)) * x[:, None]

@@ -89,29 +89,42 @@ def strips(
 
 def solve_lines(table: IntervalTable) -> IntervalLines:
     """Solve the strips for x and for y and find the largest x of each interval with the least y that allows it."""
-    p, q, c, y_cap = table.p, table.q, table.c, table.y_cap[:, None]
+    p, q, c = table.p, table.q, table.c
     size_p, size_q = np.abs(p), np.abs(q)
-    uses_x = size_p * table.x_cap[:, None] > _TINY * c
-    uses_y = size_q * y_cap > _TINY * c
+    peak_x, top_y = _extents(table, size_p, size_q)
+    # a strip that hardly depends on x (or y) within those extents is no bound on it: solving for it would cancel
+    uses_x = size_p * peak_x[:, None] > _TINY * c
+    uses_y = size_q * top_y[:, None] > _TINY * c
     safe_p = np.where(uses_x, p, 1.0)
     safe_q = np.where(uses_y, q, 1.0)
     alpha = np.where(uses_x, c / np.abs(safe_p), np.inf)
     beta = np.where(uses_x, -q / safe_p, 0.0)
     gamma = np.where(uses_y, c / np.abs(safe_q), np.inf)
     delta = np.where(uses_y, -p / safe_q, 0.0)
-
-    peak_x = np.minimum(table.x_cap, np.min(alpha + np.maximum(beta * y_cap, 0.0), axis=1))
-    rows = p.shape[1]
-    for i in range(rows - 1):
-        j = slice(i + 1, rows)
-        determinant = np.abs(p[:, i : i + 1] * q[:, j] - p[:, j] * q[:, i : i + 1])
-        sums = c[:, i : i + 1] * size_q[:, j] + c[:, j] * size_q[:, i : i + 1]
-        bounding = determinant * table.x_cap[:, None] > sums
-        bounds = np.where(bounding, sums / np.where(bounding, determinant, 1.0), np.inf)
-        peak_x = np.minimum(peak_x, bounds.min(axis=1))
     least_y = np.where(uses_y, -gamma + delta * peak_x[:, None], -np.inf).max(axis=1)
     peak_y = np.clip(least_y, 0.0, table.y_cap)
     return IntervalLines(table.length, alpha, beta, gamma, delta, peak_x, peak_y, table.y_cap)
+
+
+def _extents(table: IntervalTable, size_p: Array, size_q: Array) -> tuple[Array, Array]:
+    """Largest x and largest y of each interval's set, (n,) each, by eliminating the other from all pairs of strips."""
+    p, q, c = table.p, table.q, table.c
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        rise_x = np.maximum(-np.sign(p) * q * table.y_cap[:, None], 0.0)
+        rise_y = np.maximum(-np.sign(q) * p * table.x_cap[:, None], 0.0)
+        alone_x = np.where(size_p > 0.0, (c + rise_x) / size_p, np.inf).min(axis=1)
+        alone_y = np.where(size_q > 0.0, (c + rise_y) / size_q, np.inf).min(axis=1)
+        top_x, top_y = np.minimum(table.x_cap, alone_x), np.minimum(table.y_cap, alone_y)
+        rows = p.shape[1]
+        for i in range(rows - 1):
+            j = slice(i + 1, rows)
+            determinant = np.abs(p[:, i : i + 1] * q[:, j] - p[:, j] * q[:, i : i + 1])
+            for size, top in ((size_q, top_x), (size_p, top_y)):
+                sums = c[:, i : i + 1] * size[:, j] + c[:, j] * size[:, i : i + 1]
+                bounding = determinant * top[:, None] > sums
+                bounds = np.where(bounding, sums / np.where(bounding, determinant, 1.0), np.inf)
+                np.minimum(top, bounds.min(axis=1), out=top)
+    return top_x, top_y
 
 
 def mvc(a: Array, b: Array, limit: Array, x_cap: Array) -> Array:
