@@ -6,15 +6,16 @@ path acceleration into a piecewise linear one and never leaves the path:
     s~(t) = (S(t) - S(t - w)) / w,     S' = s,     ds~/dt = (s(t) - s(t - w)) / w,     d2s~/dt2 = (v(t) - v(t - w)) / w
 
 w = max 2 A_i / J_i: over that time a joint's acceleration may swing from -A to A. On a straight line in joint space
-the result keeps all limits and the jerk; on curved paths it is measured (joints and motors, every 2 ms) and the whole
-law is stretched in time by the smallest factor k that makes it legal: accelerations fall by k^2, jerks by k^3. The
-path itself must have continuous curvature, so in this mode blends are quintics without curvature at their ends, and
-where the curvature jumps (line to arc) the arm stops.
+the result keeps all limits and the jerk; on curved paths it is measured (joints and motors, every 2 ms): where it is
+too fast the speed of the base law is capped and the law solved again, until at most 1 % is missing; the rest is taken
+from the whole law by stretching it in time by the smallest factor k that makes it legal (accelerations fall by k^2,
+jerks by k^3). The path itself must have continuous curvature, so in this mode blends are quintics without curvature at
+their ends, and where the curvature jumps (line to arc) the arm stops.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +24,12 @@ from .elements import Array
 from .geometry import joints_along, path_points
 from .law import PathLaw
 from .limits import Limits
+from .timelaw import IntervalLines, fastest_speeds
 
 _PROBE_S = 2e-3
 _MARGIN = 1e-6
+_ROUNDS = 24
+_CLOSE = 1.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +44,42 @@ class JerkLaw:
     offsets: Array
 
     @classmethod
-    def over(cls, base: PathLaw, limits: Limits, frame_s: float) -> JerkLaw:
-        """The law for `base` that keeps the limits and the joints' jerk, a whole number of frames long."""
+    def over(cls, base: PathLaw, lines: IntervalLines, limits: Limits, frame_s: float) -> JerkLaw:
+        """The law for the path of `base`, whose intervals have the limits `lines`, that keeps all limits and the
+        joints' jerk, a whole number of frames long.
+        """
         window_s = float((2.0 * limits.joint_acceleration_deg_s2 / limits.jerk_deg_s3).max())
+        best = law = cls._smoothed(base, window_s)
+        least = np.inf
+        cap = np.full(len(base.element), np.inf)
+        for _ in range(_ROUNDS):
+            times, ratios = law._ratios(limits)
+            duration = law.duration_s * float(max(1.0, ratios.max()))
+            if duration < least:
+                least, best = duration, law
+            if ratios.max() <= _CLOSE:
+                break
+            # where the smoothed law is too fast, the base law passed half a window to either side of it
+            slower = np.ones(len(base.element))
+            first = np.searchsorted(law.base.time_s, times - window_s) - 1
+            last = np.searchsorted(law.base.time_s, times)
+            for at in np.flatnonzero(ratios > 1.0):
+                span = slice(max(0, int(first[at])), int(last[at]) + 1)
+                slower[span] = np.maximum(slower[span], ratios[at])
+            squared = np.maximum(law.base.speed[:-1], law.base.speed[1:]) ** 2
+            cap = np.minimum(cap, np.where(slower > 1.0, squared / slower**2, np.inf))
+            capped = replace(lines, peak_x=np.minimum(lines.peak_x, cap), y_cap=np.minimum(lines.y_cap, cap))
+            speeds = fastest_speeds(capped)
+            speeds[-1] = 0.0
+            again = PathLaw.from_speeds(base.arm, base.table, base.element, base.start, base.stop, speeds)
+            law = cls._smoothed(again, window_s)
+        times, ratios = best._ratios(limits)
+        stretch = max(1.0, float(ratios.max())) * (1.0 + _MARGIN)
+        frames = np.ceil(best.duration_s * stretch / frame_s - 1e-9)
+        return replace(best, stretch=float(frames * frame_s / best.duration_s))
+
+    @classmethod
+    def _smoothed(cls, base: PathLaw, window_s: float) -> JerkLaw:
         spans = np.diff(base.time_s)
         lengths = base.stop - base.start
         way = np.concatenate((np.zeros(1), np.cumsum(lengths)))
@@ -51,11 +88,7 @@ class JerkLaw:
         pieces = way[:-1] * spans + spans**2 * (v0 / 2.0 + (v1 - v0) / 6.0)
         area = np.concatenate((np.zeros(1), np.cumsum(pieces)))
         ends = np.concatenate((np.zeros(1), np.cumsum(base.table.length)))
-        law = cls(base, window_s, 1.0, way, area, ends)
-        stretch = law._needed_stretch(limits) * (1.0 + _MARGIN)
-        duration = (base.duration_s + window_s) * stretch
-        frames = np.ceil(duration / frame_s - 1e-9)
-        return cls(base, window_s, float(frames * frame_s / (base.duration_s + window_s)), way, area, ends)
+        return cls(base, window_s, 1.0, way, area, ends)
 
     @property
     def duration_s(self) -> float:
@@ -115,21 +148,25 @@ class JerkLaw:
         """None: accelerations are continuous."""
         return np.zeros(0), np.zeros(0)
 
-    def _needed_stretch(self, limits: Limits) -> float:
+    def _ratios(self, limits: Limits) -> tuple[Array, Array]:
+        """Times (n,), and how much slower the law would have to be there for every limit to hold (n,): the ratio of
+        rates, the square root of that of accelerations, the cube root of that of jerks.
+        """
         count = max(32, int(self.duration_s / _PROBE_S))
         times = np.linspace(0.0, self.duration_s, count + 1)
-        _, rates, accelerations = self.states(times)
-        jerks = np.diff(accelerations, axis=0) / (times[1] - times[0])
-        tool = np.inf
-        speed = float((np.abs(rates @ limits.rows.T) / limits.velocity).max())
-        acceleration = float((np.abs(accelerations @ limits.rows.T) / limits.acceleration).max())
-        jerk = float((np.abs(jerks) / limits.jerk_deg_s3).max())
-        feed = np.minimum(self.base.table.feed_mm_s, limits.tcp_speed_mm_s)
-        if np.isfinite(feed).any():
-            way, v, _ = self._path(times)
-            index, s = self._place(way)
-            points = path_points(self.base.arm, self.base.table, index, s)
-            tool = float((np.linalg.norm(points.p1, axis=1) * v / feed[index]).max())
-            speed = max(speed, tool)
-        needed = (1.0, speed * 1.0005, float(np.sqrt(acceleration * 1.001)), float(np.cbrt(jerk * 1.01)))
-        return max(needed)
+        way, v, u = self._path(times)
+        index, s = self._place(way)
+        points = path_points(self.base.arm, self.base.table, index, s)
+        rates = points.q1 * v[:, None]
+        accelerations = points.q1 * u[:, None] + points.q2 * (v * v)[:, None]
+        jerks = np.abs(np.diff(accelerations, axis=0)) / (times[1] - times[0]) / limits.jerk_deg_s3
+        speed = (np.abs(rates @ limits.rows.T) / limits.velocity).max(axis=1)
+        feed = np.minimum(self.base.table.feed_mm_s[index], limits.tcp_speed_mm_s)
+        speed = np.maximum(speed, np.linalg.norm(points.p1, axis=1) * v / feed)
+        speed = np.maximum(speed, v / self.base.table.rate[index])
+        acceleration = (np.abs(accelerations @ limits.rows.T) / limits.acceleration).max(axis=1)
+        jerk = np.zeros(len(times))
+        jerk[:-1] = jerks.max(axis=1)
+        jerk[1:] = np.maximum(jerk[1:], jerk[:-1])
+        needed = np.maximum(np.maximum(speed * 1.0005, np.sqrt(acceleration * 1.001)), np.cbrt(jerk * 1.01))
+        return times, needed

@@ -204,7 +204,7 @@ class Planner:
     def _piece(self, stretch: Stretch) -> Piece:
         law: PathLaw | JerkLaw = stretch.law
         if self._jerk_limited:
-            law = JerkLaw.over(stretch.law, self._limits, self._frame_s)
+            law = JerkLaw.over(stretch.law, stretch.lines, self._limits, self._frame_s)
         start_s = self._start_s + self._chain_s
         self._chain_s += law.duration_s
         duration = law.duration_s

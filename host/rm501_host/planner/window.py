@@ -33,12 +33,14 @@ LEAST_SHARE = 0.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """A committed part of the law: whether it starts and ends at rest, its elements in order."""
+    """A committed part of the law: whether it starts and ends at rest, its elements in order, the limits of its
+    intervals."""
 
     law: PathLaw
     elements: tuple[Element, ...]
     starts_at_rest: bool
     ends_at_rest: bool
+    lines: IntervalLines
 
 
 class Window:
@@ -154,7 +156,7 @@ class Window:
             grid.stop[:count],
             speeds[: count + 1],
         )
-        stretch = Stretch(law, tuple(taken), self._at_rest, at_end)
+        stretch = Stretch(law, tuple(taken), self._at_rest, at_end, _sliced(grid.lines, 0, count))
         self._committed_s += law.duration_s
         if at_end:
             self._grid, self._elements, self._first_x, self._at_rest = None, [], 0.0, True
@@ -213,8 +215,8 @@ def _joined(first: IntervalLines, second: IntervalLines) -> IntervalLines:
     )
 
 
-def _sliced(lines: IntervalLines, count: int) -> IntervalLines:
-    return IntervalLines(*(getattr(lines, name)[count:] for name in IntervalLines.__dataclass_fields__))
+def _sliced(lines: IntervalLines, first: int, stop: int | None = None) -> IntervalLines:
+    return IntervalLines(*(getattr(lines, name)[first:stop] for name in IntervalLines.__dataclass_fields__))
 
 
 def _delayed(lines: IntervalLines, speeds: Array, wanted_s: float) -> Array:
