@@ -20,6 +20,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -230,6 +231,7 @@ async def kill(count: int, seed: int) -> bool:
                 kind = kinds[number % len(kinds)]
                 daemon, seen = await one_take_away(kind, source.uniform(0.0, 1.8), bench, daemon, folder)
                 results.append(seen)
+                print(seen, file=sys.stderr, flush=True)
         finally:
             await daemon.end(signal.SIGKILL)
             assert bench.process is not None
@@ -377,6 +379,7 @@ def main() -> int:
         if "soak" in parts:
             good &= soak(options.hours, options.seed)
     except (Rm501Error, TimeoutError) as error:
+        traceback.print_exc()
         print(f"daemon: MISSED, {type(error).__name__}: {error}")
         return 1
     print(f"daemon: {'all targets met' if good else 'a target was MISSED'} ({', '.join(parts)})")

@@ -57,7 +57,7 @@ def status_command(context: CommandContext, daemon: str | None, token_file: Path
 
 @click.command("monitor")
 @click.option("--period", "period_ms", type=click.IntRange(20, 60_000), default=200, show_default=True, help="ms")
-@click.option("--count", type=click.IntRange(1), help="End after so many changes.")
+@click.option("--count", type=click.IntRange(1), help="End after so many lines, the first status included.")
 @daemon_option
 @click.pass_obj
 def monitor_command(
@@ -66,7 +66,7 @@ def monitor_command(
     """Follow the arm's state: a line for each change (with --json: the changed fields)."""
 
     async def follow(client: DaemonClient) -> None:
-        left = [count]
+        left = [None if count is None else count - 1]
         done = asyncio.Event()
 
         def show(changed: dict[str, Any]) -> None:
@@ -86,6 +86,8 @@ def monitor_command(
             click.echo(json.dumps(status))
         else:
             click.echo("\n".join(status_lines(status)))
+        if left[0] == 0:
+            return
         async with asyncio.TaskGroup() as tasks:
             ended = tasks.create_task(client.closed())
             await done.wait()

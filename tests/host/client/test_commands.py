@@ -1,0 +1,118 @@
+"""The command line and the blocking Robot against a real daemon process on an emulated board, in real time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rm501_host import Robot
+from rm501_host.errors import NoBoardError, RefusedError, StoppedError
+from tests.support.virtual_machine import REPOSITORY
+
+COMMAND = [sys.executable, "-c", "from rm501_host.cli import main; main()"]
+
+
+def run(*arguments: str, socket: Path, json_output: bool = False) -> subprocess.CompletedProcess[str]:
+    options = ["--json"] if json_output else []
+    return subprocess.run(
+        [*COMMAND, *options, *arguments],
+        env={**os.environ, "RM501_SOCKET": str(socket)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def socket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = tmp_path_factory.mktemp("daemon")
+    path = folder / "s.sock"
+    config = str(REPOSITORY / "configs" / "thesis.toml")
+    daemon = subprocess.Popen(
+        [*COMMAND, "--json", "--config", config, "--port", "emu://?preset=ideal", "serve", "--socket", str(path),
+         "--state", str(folder / "state")],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert daemon.stdout is not None
+    assert json.loads(daemon.stdout.readline())["ready"] is True
+    for _ in range(50):
+        if json.loads(run("status", socket=path, json_output=True).stdout)["connected"]:
+            break
+    yield path
+    daemon.send_signal(signal.SIGTERM)
+    assert daemon.wait(30) == 0
+    daemon.stdout.close()
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("command", ["status", "home", "stop", "hold", "monitor", "verify", "doctor"])
+def test_without_a_daemon_every_command_says_what_to_do(tmp_path: Path, command: str) -> None:
+    result = run(command, socket=tmp_path / "none.sock")
+    assert result.returncode == 4
+    assert "rm501-host serve" in result.stderr and not result.stdout
+
+
+def test_a_session_at_the_command_line(socket: Path) -> None:
+    status = run("status", socket=socket)
+    assert status.returncode == 0 and "ESTOP" in status.stdout and "then reset" in status.stdout
+    early = run("home", socket=socket)
+    assert early.returncode == 5 and "then reset" in early.stderr
+    assert run("reset", socket=socket).returncode == 0
+    jogged = run("jog", "waist", "6", "--distance", "2", socket=socket, json_output=True)
+    assert jogged.returncode == 0
+    assert json.loads(jogged.stdout)["joints_deg"][0] == pytest.approx(2.0, abs=0.03)
+    held_key = run("jog", "waist", "-6", "--seconds", "0.5", socket=socket, json_output=True)
+    assert held_key.returncode == 0 and json.loads(held_key.stdout)["joints_deg"][0] < 2.0
+    for arguments, why in (
+        (("teach", "go", "nowhere"), "no teach point"),
+        (("teach", "record", "here"), "not homed"),
+        (("send", str(REPOSITORY / "examples" / "pick_and_place.ngc")), "not homed"),
+        (("jog", "knee", "5"), "no joint"),
+        (("resume",), "nothing is held"),
+        (("home", "knee"), "no joint"),
+    ):
+        refused = run(*arguments, socket=socket)
+        assert refused.returncode == 5 and why in refused.stderr, (arguments, refused)
+    assert run("gripper", "close", socket=socket).returncode == 0
+    assert json.loads(run("status", socket=socket, json_output=True).stdout)["hand"] == "CLOSED"
+    assert run("stop", socket=socket).returncode == 0
+    seen = run("monitor", "--count", "1", "--period", "20", socket=socket, json_output=True)
+    assert seen.returncode == 0 and "task_state" in json.loads(seen.stdout.splitlines()[0])
+    killed = run("stop", "--kill", socket=socket)
+    assert killed.returncode == 0
+    unnamed = run("reset", socket=socket)
+    assert unnamed.returncode == 5 and "KILLED" in unnamed.stderr
+    assert run("reset", "--fault", "KILLED", socket=socket).returncode == 0
+    second = subprocess.run(
+        [*COMMAND, "--port", "emu://", "serve", "--socket", str(socket), "--state", str(socket.parent / "other")],
+        capture_output=True, text=True, timeout=30, check=False,
+    )  # fmt: skip
+    assert second.returncode == 5 and "another daemon answers" in second.stderr
+
+
+def test_the_blocking_robot(socket: Path) -> None:
+    with Robot.connect(f"unix:{socket}") as robot:
+        robot.reset()
+        assert robot.status()["task_state"] == "ON"
+        robot.grip("open")
+        assert robot.status()["hand"] == "OPEN"
+        with pytest.raises(RefusedError, match="not homed"):
+            robot.move_joints([0, 60, -60, 60, 0])
+        with pytest.raises(RefusedError, match="not homed"):
+            robot.move_linear([250, 0, -100, 0, 0, 0])
+        with pytest.raises(RefusedError, match="no program"):
+            robot.run("nothing.ngc")
+        started = robot.call("home")
+        robot.stop()
+        with pytest.raises(StoppedError):
+            robot.call("motion.wait", motion=started["motion"])
+    with pytest.raises(NoBoardError, match="rm501-host serve"):
+        Robot.connect("unix:/nowhere/s.sock")
