@@ -36,6 +36,7 @@ from .grid import GridBuilder
 from .jerk import JerkLaw
 from .law import PathLaw
 from .limits import Limits
+from .merging import LineMerger
 from .path import PathBuilder
 from .pieces import Action, EventKind, Piece, PieceEvent, PieceKind
 from .window import Stretch, Window
@@ -63,6 +64,7 @@ class Planner:
         self._tolerance_mm = 0.0
         self._start_s = 0.0
         self._chain_s = 0.0
+        self._merger = LineMerger()
         self._pending: Element | None = None
         self._used = 0.0
         self._ready: list[Element] = []
@@ -103,8 +105,13 @@ class Planner:
             case SplineMove():
                 yield from self._add(self._path.spline(move))
             case PathModeChange():
+                yield from self._join_held()
                 self._mode = move.mode
                 self._tolerance_mm = move.tolerance_mm or 0.0
+                # merging and blending share the tolerance: together they stay within it
+                merge_mm = move.naive_cam_tolerance_mm or 0.0 if move.mode is PathMode.BLEND else 0.0
+                self._merger.tolerance_mm = min(merge_mm, 0.5 * self._tolerance_mm)
+                self._tolerance_mm -= self._merger.tolerance_mm
             case Dwell():
                 yield from self._stop()
                 yield from self._wait(PieceKind.DWELL, move.seconds, move.source)
@@ -162,13 +169,22 @@ class Planner:
         if self._speed_scale != 1.0:
             scale = self._speed_scale
             element = replace(element, feed_mm_s=element.feed_mm_s * scale, rate=element.rate * scale)
+        for finished in self._merger.add(element):
+            yield from self._join(finished)
+
+    def _join_held(self) -> Iterator[Piece]:
+        """Go on with the lines that were held back to be merged."""
+        for finished in self._merger.take():
+            yield from self._join(finished)
+
+    def _join(self, element: Element) -> Iterator[Piece]:
         pending = self._pending
         if pending is None:
             self._pending, self._used = element, 0.0
             return
         corner = self._corners.between(pending, self._used, element, self._mode, self._tolerance_mm)
         if corner is None:
-            yield from self._stop()
+            yield from self._rest()
             self._pending, self._used = element, 0.0
             return
         self._pass_corner(pending, element, corner)
@@ -191,6 +207,10 @@ class Planner:
 
     def _stop(self) -> Iterator[Piece]:
         """Come to rest at the end of the path so far."""
+        yield from self._join_held()
+        yield from self._rest()
+
+    def _rest(self) -> Iterator[Piece]:
         pending, self._pending = self._pending, None
         if pending is None:
             return

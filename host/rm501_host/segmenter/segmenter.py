@@ -312,7 +312,7 @@ class Segmenter:
         ideal = samples.steps[at + 1 : end]
         last_speed = samples.speeds[end]
         # a run that starts beside the ideal (a residue of the last stop) closes in on it
-        tolerance = self._tolerance + float(np.abs(start - samples.steps[at]).max())
+        tolerance = max(self._tolerance, float(np.abs(start - samples.steps[at]).max()))
         best: tuple[Cubic, float] | None = None
         for cubic in (
             quadratic(target - start, self._speed, frames),
