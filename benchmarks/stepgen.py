@@ -25,7 +25,8 @@ from rm501_firmware_model import Board, BoardLayout, FastBoard
 from rm501_host.config import load_config
 from rm501_host.config.board import board_config_from
 from rm501_host.kinematics import Arm
-from rm501_host.program_run import plan_program
+from rm501_host.planner import Planner
+from rm501_host.program import read_moves
 from rm501_host.segmenter import Segmenter
 from rm501_protocol.board_config import RM501_BOARD
 from rm501_protocol.enums import BoardState
@@ -144,10 +145,11 @@ def pick_and_place() -> tuple[list[Segment], tuple[float, float]]:
     """The thesis's program as the host sends it, from motion frame 0 and step 0; hold and stop ratios it declares."""
     config = load_config(ROOT / "configs" / "thesis.toml")
     arm = Arm.from_config(config)
-    plan = plan_program(ROOT / "examples" / "pick_and_place.ngc", arm, config, config.home_deg)
+    planner = Planner(arm, config, config.home_deg)
+    pieces = planner.plan(read_moves(ROOT / "examples" / "pick_and_place.ngc", arm, lambda: planner.q_deg.tolist()))
     first = tuple(round(step * ONE_STEP) for step in arm.motors_from_joints(config.home_deg))
     start = tuple(value // ONE_STEP * ONE_STEP for value in first)
-    made = [planned.segment for planned in Segmenter(config, (*start, 0), 0).segments(plan.pieces)]
+    made = [planned.segment for planned in Segmenter(config, (*start, 0), 0).segments(pieces)]
     assert board_config_from(config).hash == RM501_BOARD.hash
     return made, (config.planner.hold_acceleration_ratio, config.planner.stop_acceleration_ratio)
 
