@@ -90,8 +90,9 @@ class Plan:
         tcp_mm, hand, line = np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=np.int64)
         at = 0
         pulses = 0.0
+        timed = [piece for piece in self.pieces if piece.duration_s > 0.0]
         for piece in self.pieces:
-            last = piece is self.pieces[-1]
+            last = bool(timed) and piece is timed[-1]
             stop = n if last else int(np.searchsorted(t_s, piece.end_s - first, side="left"))
             if piece.duration_s > 0.0 and stop > at:
                 rows = slice(at, stop)
