@@ -1,18 +1,18 @@
 """Running a program from file to report: check everything, connect, home, play, say what happened.
 
-    read -> interpret -> resolve -> plan -> segment          nothing has moved, any error refuses the whole program
-    connect -> configure -> power -> home -> play            the arm moves
+    check -> plan                                        nothing has moved, any error refuses the whole program
+    connect -> configure -> power -> home -> play        the arm moves
     report
 
-The program is planned to its end before the port is even opened, from the home position (or, without homing, from
-where the trusted arm stands).
+The program is checked before the port is even opened, from the home position (or, without homing, from where the
+trusted arm stands); `program_plan` says how.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -20,15 +20,14 @@ from rm501_host.config import Config
 from rm501_host.config.board import board_config_from
 from rm501_host.errors import RefusedError, Rm501Error, StoppedError
 from rm501_host.kinematics import Arm
-from rm501_host.motion import Homing, MotionStream, Progress
+from rm501_host.motion import Homing, MotionStream, PieceRuns, Progress
 from rm501_host.moves import Message, Pause, ProgramEnd
-from rm501_host.planner import Piece, PieceKind, Plan, Planner
-from rm501_host.program import read_moves
-from rm501_host.report import LimitFigures, RunReport, WireFigures
-from rm501_host.segmenter import PlannedSegment
+from rm501_host.planner import Piece, Plan
+from rm501_host.program_plan import CheckedProgram, check_and_plan
+from rm501_host.report import RunReport, WireFigures
 from rm501_host.session import BoardSession, open_session
 from rm501_host.session.board_session import Notice, WireTap
-from rm501_host.tracking import tracking_of
+from rm501_host.tracking import RunFigures
 from rm501_host.transports import open_transport
 from rm501_protocol.enums import BoardState, HoldCause
 from rm501_protocol.messages import Hold, Status
@@ -61,32 +60,16 @@ class RunOptions:
     nonce: Callable[[], int]
     wire_tap: WireTap | None = None
     wall_clock_s: Callable[[], float] | None = None
+    keep_pieces: bool = False
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class RunResult:
-    """The report, the plan it is about, and the error that ended the run early, if one did."""
+    """The report, the error that ended the run early, if one did, and with `keep_pieces` the plan as far as played."""
 
     report: RunReport
+    error: Rm501Error | None
     plan: Plan
-    error: Rm501Error | None = None
-    segments: list[PlannedSegment] = field(default_factory=list)
-
-
-def plan_program(
-    program: Path,
-    arm: Arm,
-    config: Config,
-    start_deg: tuple[float, ...],
-    on_warning: Callable[[str], None] | None = None,
-) -> Plan:
-    """Interpret and plan a whole program; raises GcodeError, PlanError and their kin, naming file and line."""
-    planner = Planner(arm, config, start_deg)
-    moves = read_moves(program, arm, lambda: tuple(planner.q_deg.tolist()), on_warning)
-    plan = Plan(arm, config, planner.plan(moves))
-    if not plan.pieces or plan.motion_s == 0.0:
-        raise RefusedError(f"{program}: nothing in it moves; is it the right file?")
-    return plan
 
 
 async def run_program(program: Path, config: Config, options: RunOptions, watcher: Watcher) -> RunResult:
@@ -96,13 +79,13 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
     try:
         if options.home:
             watcher.phase("planning")
-            plan = plan_program(program, arm, config, config.home_deg, watcher.message)
+            checked = check_and_plan(program, arm, config, config.home_deg, watcher.message)
             session = await _connect(config, options, watcher)
         else:
             session = await _connect(config, options, watcher)
             watcher.phase("planning")
-            plan = plan_program(program, arm, config, _trusted_position(session, arm), watcher.message)
-        return await _play(program, plan, session, arm, config, options, watcher)
+            checked = check_and_plan(program, arm, config, _trusted_position(session, arm), watcher.message)
+        return await _play(program, checked, session, arm, config, options, watcher)
     finally:
         if session is not None:
             await session.aclose()
@@ -133,7 +116,7 @@ def _trusted_position(session: BoardSession, arm: Arm) -> tuple[float, ...]:
 
 async def _play(
     program: Path,
-    plan: Plan,
+    checked: CheckedProgram,
     session: BoardSession,
     arm: Arm,
     config: Config,
@@ -141,43 +124,60 @@ async def _play(
     watcher: Watcher,
 ) -> RunResult:
     loop = asyncio.get_running_loop()
+    wall_clock_s = options.wall_clock_s or loop.time
+    figures = RunFigures(arm, config, keep_pieces=options.keep_pieces)
     error: Rm501Error | None = None
-    sent: list[PlannedSegment] = []
-    began_s = loop.time()
-    wall_began_s = options.wall_clock_s() if options.wall_clock_s is not None else began_s
-    tell_holds = _HoldTeller(watcher)
-    session.add_listener(tell_holds)
+    began_s, wall_began_s = loop.time(), wall_clock_s()
+    session.add_listener(_HoldTeller(watcher))
     try:
         stream = MotionStream(session, config, someone_resumes=False)
         await stream.prepare()
         if options.home:
             await Homing(stream, arm, config).home_all(lambda joint: watcher.phase(f"homing {joint}"))
         watcher.phase("running")
-        for pieces in _runs_between_marks(plan, watcher):
-            sent += await stream.play(pieces, watcher.progress)
+        runs = PieceRuns(figures.of_pieces(checked.pieces))
+        while True:
+            if await loop.run_in_executor(None, runs.peek):
+                await stream.play(runs.until_mark(), watcher.progress, on_segment=figures.add_segment)
+            if runs.mark is None or not _act(runs.mark, watcher):
+                break
     except StoppedError as stopped:
         error = stopped
     except asyncio.CancelledError:
         watcher.message(await _hold_and_leave(session))
         raise
-    took_s = loop.time() - began_s
-    wall_s = (options.wall_clock_s() if options.wall_clock_s is not None else loop.time()) - wall_began_s
+    took_s, wall_s = loop.time() - began_s, wall_clock_s() - wall_began_s
     stats = session.link.stats
-    frame_s = board_config_from(config).frame_us * 1e-6
-    limits = plan.limits()
     report = RunReport(
         program=str(program),
         result="ok" if error is None else "stopped",
-        cycle_s=round(plan.duration_s, 6),
-        motion_s=round(plan.motion_s, 6),
-        segments=len(sent),
+        cycle_s=round(figures.cycle_s, 6),
+        motion_s=round(figures.motion_s, 6),
+        segments=figures.segments,
         wire=WireFigures(stats.bytes_out, stats.bytes_in, stats.retransmits),
-        limits=LimitFigures(limits.joint_velocity_ratio, limits.joint_acceleration_ratio, limits.motor_rate_ratio),
-        tracking=tracking_of(sent, arm, frame_s),
+        limits=figures.limits,
+        tracking=figures.tracking,
         speed_ratio=took_s / wall_s if wall_s > 0 else 0.0,
         faults=[] if error is None else [str(error)],
     )
-    return RunResult(report, plan, error, sent)
+    return RunResult(report, error, Plan(arm, config, figures.pieces))
+
+
+def _act(mark: Piece, watcher: Watcher) -> bool:
+    """Do what a mark asks for, at rest; False at the program's end."""
+    match mark.move:
+        case Message(text=text):
+            watcher.message(text)
+        case ProgramEnd():
+            return False
+        case Pause(kind=kind, source=source):
+            watcher.message(f"{source}: {kind.value} passed without a pause: nobody is there to continue it")
+        case move:
+            raise StoppedError(
+                f"{mark.source}: {type(move).__name__} needs an operator or inputs; the arm stands at rest before it; "
+                "run the program in the daemon: rm501-host serve, then send"
+            )
+    return True
 
 
 class _HoldTeller:
@@ -218,22 +218,3 @@ async def _hold_and_leave(session: BoardSession) -> str:
             "`rm501-host serve` and `resume` go on, `stop` ends it"
         )
     return f"interrupted: the arm is at rest, the board {status.state.name}"
-
-
-def _runs_between_marks(plan: Plan, watcher: Watcher) -> Iterator[list[Piece]]:
-    """The plan cut where the session has to do something at rest."""
-    run: list[Piece] = []
-    for piece in plan.pieces:
-        if piece.kind is not PieceKind.MARK:
-            run.append(piece)
-            continue
-        match piece.move:
-            case Message(text=text):
-                watcher.message(text)
-            case ProgramEnd():
-                break
-            case Pause(kind=kind, source=source):
-                watcher.message(f"{source}: {kind.value} passed without a pause: nobody is there to continue it")
-            case move:
-                raise RefusedError(f"{piece.source}: {type(move).__name__} needs the daemon; start rm501-host serve")
-    yield run

@@ -64,6 +64,7 @@ def run_in_cell(program: Path, config: Config, query: str = "seed=1", *, seed: i
         options = RunOptions(
             port_url=url,
             home=True,
+            keep_pieces=True,
             nonce=lambda: nonces.getrandbits(32),
             wire_tap=lambda now_us, direction, data: wire.append((now_us, direction, data)),
         )

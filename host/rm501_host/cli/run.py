@@ -70,6 +70,7 @@ def run_command(
         wire_tap=None
         if wire_log is None
         else lambda now_us, direction, data: wire_lines.append(f"{now_us} {direction} {data.hex()}\n"),
+        keep_pieces=picture is not None,
         wall_clock_s=time.perf_counter,  # noqa: TID251  # speed_ratio compares with the wall, nothing else does
     )
     with watcher_for(context) as watcher, _runner(speed) as runner:
@@ -77,11 +78,10 @@ def run_command(
     if wire_log is not None:
         wire_log.parent.mkdir(parents=True, exist_ok=True)
         wire_log.write_text("".join(wire_lines))
-    if picture is not None:
-        result.report = _draw(result, picture, program)
+    report = result.report if picture is None else _draw(result, picture, program)
     if report_path is not None:
-        result.report.write(report_path)
-    click.echo(result.report.as_json() if context.json_output else result.report.as_text())
+        report.write(report_path)
+    click.echo(report.as_json() if context.json_output else report.as_text())
     if result.error is not None:
         raise result.error
     return ExitCode.OK

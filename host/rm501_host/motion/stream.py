@@ -132,12 +132,15 @@ class MotionStream:
         on_progress: Callable[[Progress], None] | None = None,
         *,
         flags: SegmentFlag = SegmentFlag.NONE,
-    ) -> list[PlannedSegment]:
-        """Play to the end and come to rest there; the segments as sent, each with `flags` on top of its own.
+        on_segment: Callable[[PlannedSegment], None] | None = None,
+    ) -> None:
+        """Play to the end and come to rest there, every segment with `flags` on top of its own.
+
+        `on_segment` is told of every segment that is sent.
 
         Raises StoppedError when motion ended before its time, BoardRefusedError when the board refused a segment.
         """
-        return await self._run(pieces, on_progress, until_trigger=False, flags=flags)
+        await self._run(pieces, on_progress, until_trigger=False, flags=flags, on_segment=on_segment)
 
     async def play_until(self, pieces: Iterable[Piece], switch: InputId, edge: Edge) -> TriggerReport | None:
         """Play until `switch` shows `edge`, then ramp to a stop on the path; None when the pieces ended before.
@@ -164,21 +167,21 @@ class MotionStream:
         *,
         until_trigger: bool,
         flags: SegmentFlag = SegmentFlag.NONE,
-    ) -> list[PlannedSegment]:
+        on_segment: Callable[[PlannedSegment], None] | None = None,
+    ) -> None:
         session = self._session
         self._ended = self._fault = self._refused = None
         self._sources.clear()
         first_frame = self.end_frame
         source = iter(Segmenter(self._config, self.positions_q48, self.end_frame).segments(pieces))
-        sent: list[PlannedSegment] = []
         waiting: deque[PlannedSegment] = deque()
-        exhausted = started = False
+        exhausted = started = moved = False
         while True:
             session_failure = session.failure
             if session_failure is not None:
                 raise session_failure
             if self._interrupted(until_trigger):
-                return sent
+                return
             if not exhausted and len(waiting) < _BATCH:
                 batch = await self._loop.run_in_executor(None, list, islice(source, _BATCH))
                 exhausted = not batch
@@ -187,19 +190,21 @@ class MotionStream:
                 planned = waiting.popleft()
                 segment = planned.segment
                 session.post(replace(segment, flags=segment.flags | flags) if flags else segment)
-                sent.append(planned)
+                moved = True
+                if on_segment is not None:
+                    on_segment(planned)
                 self._take(planned)
                 await asyncio.sleep(0)
             filled = exhausted and not waiting
-            if not started and sent and (filled or self._room() <= 0):
+            if not started and moved and (filled or self._room() <= 0):
                 session.post(Start())
                 started = True
             self._give_up_on_a_lost_link()
             self._resume_after_low_water(filled or self._room() <= 0)
             if on_progress is not None:
                 on_progress(self._progress(first_frame))
-            if filled and self._at_rest_at_the_end(bool(sent)):
-                return sent
+            if filled and self._at_rest_at_the_end(moved):
+                return
             if filled or self._room() <= 0:
                 await asyncio.sleep(_POLL_S)
 
