@@ -144,13 +144,13 @@ REVERSALS = {
 
 
 @pytest.mark.parametrize("pieces", REVERSALS.values(), ids=REVERSALS.keys())
-@pytest.mark.parametrize("first", range(10))
+@pytest.mark.parametrize("first", [*range(8), 60, 61, 64])
 def test_late_steps_in_the_fast_path(pieces: tuple[tuple[int, int], ...], first: int) -> None:
     boards = []
     for kind in (Board, FastBoard):
         rig = Rig(SLOW_PULSES, board=kind)
         (length, v), *others = pieces
-        segments = [rig.segment(length + first // 4, MotorTerm(2, v))]
+        segments = [rig.segment(length + first % 60 // 4, MotorTerm(2, v))]
         segments += [rig.segment(length, MotorTerm(2, v)) for length, v in others]
         rig.go(*segments, rig.segment(40, flags=SegmentFlag.ENDS_AT_REST))
         rig.run(82 + first, 100)  # where the next stretch begins
