@@ -229,7 +229,12 @@ async def kill(count: int, seed: int) -> bool:
                 await client.motion("move.joints", q_deg=A)
             for number in range(count):
                 kind = kinds[number % len(kinds)]
-                daemon, seen = await one_take_away(kind, source.uniform(0.0, 1.8), bench, daemon, folder)
+                try:
+                    daemon, seen = await one_take_away(kind, source.uniform(0.0, 1.8), bench, daemon, folder)
+                except (Rm501Error, TimeoutError):
+                    ended = daemon.child.returncode
+                    print(f"trial {number}, {kind}: the daemon {'runs' if ended is None else f'ended with {ended}'}")
+                    raise
                 results.append(seen)
                 print(seen, file=sys.stderr, flush=True)
         finally:

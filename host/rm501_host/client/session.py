@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,10 +28,21 @@ def daemon_option(command: F) -> F:
     )(command)
 
 
+def ignore_broken_pipes() -> None:
+    """Make writing to a socket whose other end is gone an error instead of the end of the process.
+
+    The command line lets SIGPIPE end it, for `| head`; a daemon would die of a client that was killed.
+    """
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+
+
 def talk(daemon: str | None, token_file: Path | None, work: Callable[[DaemonClient], Coroutine[Any, Any, T]]) -> T:
     """Run `work` with a connected client; raises NoBoardError (exit code 4) when no daemon is there."""
     address = daemon or f"unix:{socket_path(os.environ, os.getuid() if hasattr(os, 'getuid') else 0)}"
     token = None if token_file is None else token_file.read_text("utf-8").strip()
+
+    ignore_broken_pipes()
 
     async def conversation() -> T:
         client = await connect(address, token=token, name=f"rm501-host {os.getpid()}")

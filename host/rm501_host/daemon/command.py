@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 
 from rm501_host.cli.context import CommandContext
+from rm501_host.client.session import ignore_broken_pipes
 from rm501_host.daemon.notify import Notifier
 from rm501_host.daemon.paths import socket_path, state_folder
 from rm501_host.daemon.serve import ServeOptions, serve
@@ -71,6 +72,7 @@ def serve_command(
         else:
             click.echo(f"rm501-host serves {url} on {', '.join(addresses)}; files in {folder}")
 
+    ignore_broken_pipes()
     try:
         asyncio.run(_serve(context, options, ready))
     except* Rm501Error as group:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,15 +27,12 @@ from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
 from rm501_host.machine.operations import TEACH_SPEED_MM_S
-from rm501_host.motion import MotionStream
 from rm501_host.moves import Feed, LinearMove, Source
 from rm501_host.planner import Piece, PlanError, Planner, plan_joint_move
 from rm501_host.session import BoardRefusedError, BoardSession
-from rm501_protocol.declaration import Message
 from rm501_protocol.enums import SegmentFlag
 from rm501_protocol.faults import RefusalReason
 from rm501_protocol.messages import Lease
-from rm501_protocol.segment_message import Segment
 
 UNHOMED_SPEED = 0.2
 """Share of a joint's speed while it is not homed: nobody knows where its limits are."""
@@ -124,12 +120,11 @@ class Jogger:
         session = machine.session
         session.post(Lease(self._lease_ms))
         stream = machine.stream
-        jog_stream = _jog_stream(stream, session, machine)
         ended_without_motion = False
         try:
             if not continuous:
                 self._keep_alive(session, loop, job)
-            await jog_stream.play(pieces)
+            await stream.play(pieces, flags=SegmentFlag.JOG)
         except StoppedError:
             if not machine.stopped_by_lease():
                 raise
@@ -139,9 +134,7 @@ class Jogger:
                 raise
             ended_without_motion = True
         finally:
-            jog_stream.detach()
-            if machine.last_end is None and machine.stream is stream:
-                stream.positions_q48, stream.end_frame = jog_stream.positions_q48, jog_stream.end_frame
+            if machine.last_end is None and session.failure is None:
                 with contextlib.suppress(Rm501Error):
                     session.post(Lease(0))
         if ended_without_motion:
@@ -262,32 +255,3 @@ class Jogger:
         tool = machine.arm.fk(np.array(start)).rotation[:, column]
         axis: np.ndarray[Any, np.dtype[np.float64]] = machine.arm.frame.rotation.T @ tool
         return axis
-
-
-class _JogSession:
-    """A session that marks every segment as part of a jog; everything else is the session's own."""
-
-    def __init__(self, session: BoardSession) -> None:
-        self._session = session
-
-    def post(self, message: Message) -> None:
-        if isinstance(message, Segment):
-            message = replace(message, flags=message.flags | SegmentFlag.JOG)
-        self._session.post(message)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._session, name)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if name == "_session":
-            object.__setattr__(self, name, value)
-        else:
-            setattr(self._session, name, value)
-
-
-def _jog_stream(stream: MotionStream, session: BoardSession, machine: Machine) -> MotionStream:
-    """A stream on the same mirror whose segments run only under the lease."""
-    marked: Any = _JogSession(session)
-    jog_stream = MotionStream(marked, machine.config)
-    jog_stream.positions_q48, jog_stream.end_frame = stream.positions_q48, stream.end_frame
-    return jog_stream

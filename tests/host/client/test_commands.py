@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket as socket_module
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -96,6 +97,17 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
         capture_output=True, text=True, timeout=30, check=False,
     )  # fmt: skip
     assert second.returncode == 5 and "another daemon answers" in second.stderr
+
+
+def test_clients_that_vanish_do_not_take_the_daemon_along(socket: Path) -> None:
+    """Writing to a client that was killed raises SIGPIPE, which ended the daemon once."""
+    for _ in range(10):
+        with socket_module.socket(socket_module.AF_UNIX, socket_module.SOCK_STREAM) as client:
+            client.connect(str(socket))
+            call = {"jsonrpc": "2.0", "id": 1, "method": "config", "params": {}}
+            subscribe = {"jsonrpc": "2.0", "id": 2, "method": "subscribe", "params": {"period_ms": 20}}
+            client.sendall((json.dumps(subscribe) + "\n" + (json.dumps(call) + "\n") * 30).encode())
+    assert run("status", socket=socket).returncode == 0
 
 
 def test_the_blocking_robot(socket: Path) -> None:
