@@ -77,13 +77,22 @@ def serve_command(
         asyncio.run(_serve(context, options, ready))
     except* Rm501Error as group:
         raise _first(group) from group
+    except* asyncio.CancelledError as group:
+        raise click.Abort from group
 
 
 async def _serve(context: CommandContext, options: ServeOptions, ready: object) -> None:
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
+    here = asyncio.current_task()
+
+    def asked_to_end() -> None:
+        if end.is_set() and here is not None:
+            here.cancel()
+        end.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+        loop.add_signal_handler(number, asked_to_end)
     assert callable(ready)
     await serve(context.config, options, Notifier(os.environ, os.getpid()), end, ready)
 

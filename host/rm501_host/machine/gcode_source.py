@@ -158,6 +158,7 @@ class MdiSession:
         self._around = around
         self._lines = _BlockByBlock()
         self._interpreter: Interpreter | None = None
+        self._tool: ToolChange | None = None
         self._calls: Iterator[CanonCall] = iter(())
         self._resolver = Resolver()
         self.history: deque[str] = deque(maxlen=MAX_MDI_HISTORY)
@@ -167,15 +168,23 @@ class MdiSession:
         if "\n" in block or "\r" in block:
             raise RefusedError("MDI takes one block; put several into a program")
         self.history.append(block)
+        bare = arm
         try:
             interpreter = self._live(arm)
             self._lines.put(block)
+            if self._tool is not None:
+                # every block is planned by itself, from an arm without a tool
+                arm = arm.with_tool(self._tool.length_mm, self._tool.offset_mm)
+                yield self._tool
             interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
             for call in self._calls:
                 if isinstance(call, OperatorMessage) and call.text.strip() == _END_OF_BLOCK:
                     break
                 for move in self._resolver.feed(call):
                     _refuse_external(move)
+                    if isinstance(move, ToolChange):
+                        self._tool = move
+                        arm = bare.with_tool(move.length_mm, move.offset_mm)
                     yield move  # type: ignore[misc]  # external actions were refused
                     if isinstance(move, JointMove):
                         interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
@@ -186,9 +195,14 @@ class MdiSession:
             self._interpreter = None
             raise
 
+    def forget(self) -> None:
+        """The tables or a program have changed what the interpreter knew: begin anew with the next block."""
+        self._interpreter = None
+
     def _live(self, arm: Arm) -> Interpreter:
         """The interpreter that the last block left behind, or a new one."""
         if self._interpreter is None:
+            self._tool = None
             self._lines = _BlockByBlock()
             self._interpreter = self._around.interpreter(self._lines, arm, self._around.settings())
             self._calls = self._interpreter.calls()

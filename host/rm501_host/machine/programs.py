@@ -80,6 +80,10 @@ class Programs:
         """Blocks given by MDI, oldest first."""
         return list(self._mdi.history)
 
+    def forget_modes(self) -> None:
+        """MDI begins anew, with the tables as they are now."""
+        self._mdi.forget()
+
     # ------------------------------------------------------------------------------------------ preflight
 
     async def load(self, name: str, *, line: int = 1, speed: float = 1.0) -> Checked:
@@ -165,6 +169,7 @@ class Programs:
                 else self._pieces(self.files.path(name), line, checked.start_deg, speed, step)
             )
             self._done_frames = 0
+            self.forget_modes()
             await self._play(pieces)
             self.progress = 1.0
             job.result.update(program=name, duration_s=round(checked.duration_s, 6))

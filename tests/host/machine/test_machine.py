@@ -12,7 +12,7 @@ import pytest
 
 from rm501_host.errors import NoBoardError, RefusedError, StoppedError
 from rm501_host.gcode.errors import GcodeError
-from rm501_host.machine import LeaseHeldError, MachineState, operations
+from rm501_host.machine import LeaseHeldError, MachineState, operations, tables
 from rm501_host.planner import PlanError
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.link_events import StopKind
@@ -441,5 +441,38 @@ def test_without_a_board_every_request_says_so(tmp_path: Path) -> None:
                 await machine.stop(ME)
             await asyncio.sleep(0.5)
             assert machine.state is MachineState.ESTOP and machine.cause is not None
+
+    virtual(scenario())
+
+
+def test_work_offsets_and_tools_change_what_blocks_mean(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            machine, programs, around = service.machine, service.programs, service.around
+            await homed(service)
+            await (await programs.mdi(ME, "G0 X250 Y0 Z-100 A0 B0 C0")).wait()
+            tables.set_offset(around, machine.arm, "G55", (30.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0)
+            programs.forget_modes()
+            await (await programs.mdi(ME, "G55")).wait()
+            await (await programs.mdi(ME, "G0 X250")).wait()
+            assert operations.position(machine)[0] == pytest.approx(280.0, abs=0.2)
+            listed = {entry["name"]: entry["offset"] for entry in tables.offset_list(around, machine.arm)}
+            assert listed["G55"][0] == 30.0 and listed["G54"][0] == 0.0
+            await (await programs.mdi(ME, "G10 L2 P2 X10")).wait()
+            await (await programs.mdi(ME, "G0 X250")).wait()
+            assert operations.position(machine)[0] == pytest.approx(260.0, abs=0.2)
+            tables.set_tool(around, 3, (0.0, 0.0, 25.0), 4.0, "probe tip")
+            programs.forget_modes()
+            await (await programs.mdi(ME, "G54")).wait()
+            await (await programs.mdi(ME, "G43 H3")).wait()
+            before = operations.position(machine)[2]
+            await (await programs.mdi(ME, "G0 Z-100")).wait()
+            # the tool points along program +Z, so a tool 25 mm longer stands 25 mm farther back
+            assert operations.position(machine)[2] - before == pytest.approx(-25.0, abs=0.2)
+            tables.delete_tool(around, 3)
+            with pytest.raises(RefusedError, match="no tool 3"):
+                tables.delete_tool(around, 3)
+            with pytest.raises(RefusedError, match="G54, G55"):
+                tables.set_offset(around, machine.arm, "G60", (0.0,) * 6, 0.0)
 
     virtual(scenario())
