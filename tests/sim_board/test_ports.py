@@ -100,6 +100,21 @@ def test_the_same_program_gives_the_same_steps_over_every_port(kind, tmp_path) -
     assert asyncio.run(main()) == _expected()
 
 
+def test_can_frames_that_overtake_each_other_change_nothing(tmp_path) -> None:
+    async def main() -> str:
+        async with _served("virtual", tmp_path) as (running, url):
+            running.faults.inject("reorder:p=0.02")
+            transport = await open_transport(url)
+            client = BoardClient(transport)
+            await _play(client)
+            assert client.link.stats.retransmits + running.emulator.board.link.stats.retransmits > 0
+            await transport.aclose()
+            running.board.run_to_now()
+            return running.emulator.recording.step_sequence_hash()
+
+    assert asyncio.run(main()) == _expected()
+
+
 def test_a_second_tcp_client_is_turned_away_and_the_first_stays(tmp_path) -> None:
     async def main() -> None:
         async with _served("tcp", tmp_path) as (_, url):
