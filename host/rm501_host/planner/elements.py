@@ -51,7 +51,7 @@ class Element:
 
     `coefficients`: (4, 5), of 1, s, s^2, s^3; `cosine`, `sine`: (3,), mm; `omega`: rad per unit of s; `growth`: 1 per
     unit of s. `feed_mm_s` limits |dp/dt| of the tool centre point, `rate` limits ds/dt. `branch` is the arm's
-    way of reaching a task-space element.
+    way of reaching a task-space element. `merged_mm`: how far merging has moved it off the programmed lines.
     """
 
     space: Space
@@ -68,6 +68,7 @@ class Element:
     curve_start: float = 0.0
     is_blend: bool = False
     branch: Branch = Branch.FRONT_UP
+    merged_mm: float = 0.0
 
     def evaluate(self, s: Array) -> tuple[Array, Array, Array]:
         """Values, first and second derivatives at s (n,), each (n, 5)."""

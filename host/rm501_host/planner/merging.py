@@ -66,9 +66,10 @@ class LineMerger:
             return None
         ideal = start + (end - start) * (along / length)[:, None]
         off = points - ideal
-        if float(np.linalg.norm(off[:, :3], axis=1).max()) > self.tolerance_mm:
+        moved_mm = float(np.linalg.norm(off[:, :3], axis=1).max())
+        if moved_mm > self.tolerance_mm:
             return None
         if float(np.abs(off[:, 3:]).max()) > self.tolerance_mm:
             return None
         joined = line(Space.TASK, start, end, length, held.source)
-        return replace(joined, feed_mm_s=held.feed_mm_s, rate=held.rate, branch=held.branch)
+        return replace(joined, feed_mm_s=held.feed_mm_s, rate=held.rate, branch=held.branch, merged_mm=moved_mm)

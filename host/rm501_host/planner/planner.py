@@ -108,10 +108,8 @@ class Planner:
                 yield from self._join_held()
                 self._mode = move.mode
                 self._tolerance_mm = move.tolerance_mm or 0.0
-                # merging and blending share the tolerance: together they stay within it
                 merge_mm = move.naive_cam_tolerance_mm or 0.0 if move.mode is PathMode.BLEND else 0.0
                 self._merger.tolerance_mm = min(merge_mm, 0.5 * self._tolerance_mm)
-                self._tolerance_mm -= self._merger.tolerance_mm
             case Dwell():
                 yield from self._stop()
                 yield from self._wait(PieceKind.DWELL, move.seconds, move.source)
@@ -182,7 +180,9 @@ class Planner:
         if pending is None:
             self._pending, self._used = element, 0.0
             return
-        corner = self._corners.between(pending, self._used, element, self._mode, self._tolerance_mm)
+        # merging and blending share the tolerance: together they stay within it
+        tolerance_mm = self._tolerance_mm - max(pending.merged_mm, element.merged_mm)
+        corner = self._corners.between(pending, self._used, element, self._mode, tolerance_mm)
         if corner is None:
             yield from self._rest()
             self._pending, self._used = element, 0.0
