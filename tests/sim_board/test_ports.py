@@ -103,7 +103,7 @@ def test_the_same_program_gives_the_same_steps_over_every_port(kind, tmp_path) -
 def test_can_frames_that_overtake_each_other_change_nothing(tmp_path) -> None:
     async def main() -> str:
         async with _served("virtual", tmp_path) as (running, url):
-            running.faults.inject("reorder:p=0.02")
+            running.faults.inject("reorder:p=0.05")
             transport = await open_transport(url)
             client = BoardClient(transport)
             await _play(client)
