@@ -1,0 +1,154 @@
+"""What happens when the line, the board or the daemon goes away: what is trusted, what nobody may resume alone."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rm501_host.config import load_config
+from rm501_host.errors import Rm501Error, StoppedError
+from rm501_host.machine import Machine, MachineState, operations
+from rm501_host.virtual_time import run_virtual
+from tests.support.virtual_machine import ME, homed, running_service
+
+START = (0.0, 60.0, -60.0, 60.0, 0.0)
+NEXT = (60.0, 75.0, -45.0, 30.0, 20.0)
+WHEN_S = 60.0
+
+
+async def moving_at(machine: Machine, seconds: float) -> Any:
+    """Start a move so that it is under way at `seconds` of the loop's time."""
+    loop = asyncio.get_running_loop()
+    await operations.move_joints(machine, ME, START).wait()
+    assert loop.time() < seconds - 0.8
+    await asyncio.sleep(seconds - 0.8 - loop.time())
+    return operations.move_joints(machine, ME, NEXT)
+
+
+def virtual(test: Coroutine[Any, Any, None]) -> None:
+    run_virtual(test)
+
+
+def test_a_stall_of_three_seconds_holds_and_only_an_operator_resumes(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        url = f"emu://?preset=ideal&seed=1&fault=host-stall:ms=3000@{WHEN_S}s"
+        async with running_service(tmp_path, url) as service:
+            machine = service.machine
+            await homed(service)
+            job = await moving_at(machine, WHEN_S)
+            await asyncio.sleep(6.0)
+            assert machine.state is MachineState.HELD
+            assert service.status().hold_cause == "LINK_LOST"
+            steps = machine.arm_state.steps
+            await asyncio.sleep(5.0)
+            assert machine.state is MachineState.HELD and machine.arm_state.steps == steps
+            await machine.resume(ME)
+            await job.wait()
+            assert machine.arm_state.joints_deg == pytest.approx(NEXT, abs=0.03)
+            assert machine.arm_state.homed == (True,) * 5
+
+    virtual(scenario())
+
+
+@pytest.mark.parametrize(
+    ("fault", "trusted"), [("unplug@60s/2s", True), ("reset@60s", False), ("reset:dark_ms=3000@60s", False)]
+)
+def test_after_a_lost_link_trust_depends_on_the_boot(tmp_path: Path, fault: str, trusted: bool) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path, f"emu://?preset=ideal&seed=1&fault={fault}") as service:
+            machine = service.machine
+            await homed(service)
+            job = await moving_at(machine, WHEN_S)
+            with pytest.raises(StoppedError):
+                await job.wait()
+            async with asyncio.timeout(20):
+                while machine.state is not MachineState.ESTOP or not machine.connected:  # noqa: ASYNC110
+                    await asyncio.sleep(0.05)
+            await asyncio.sleep(1.0)
+            steps = machine.arm_state.steps
+            await asyncio.sleep(2.0)
+            assert machine.state is MachineState.ESTOP and machine.arm_state.steps == steps
+            assert (machine.arm_state.homed == (True,) * 5) is trusted
+            await machine.reset(ME)
+            assert machine.state is MachineState.IDLE
+            if not trusted:
+                await operations.home(machine, ME).wait()
+            await operations.move_joints(machine, ME, NEXT).wait()
+            assert machine.arm_state.joints_deg == pytest.approx(NEXT, abs=0.03)
+
+    virtual(scenario())
+
+
+@pytest.mark.parametrize("board", ["724", "732"])
+def test_an_overflow_names_the_board_and_distrusts_its_joints(tmp_path: Path, board: str) -> None:
+    async def scenario() -> None:
+        async with running_service(
+            tmp_path, f"emu://?preset=ideal&seed=1&fault=overflow:board={board}@60s/0.5s"
+        ) as service:
+            machine = service.machine
+            await homed(service)
+            job = await moving_at(machine, WHEN_S)
+            with pytest.raises(StoppedError):
+                await job.wait()
+            await asyncio.sleep(1.0)
+            assert machine.state is MachineState.ESTOP and machine.cause is not None
+            assert "OVERFLOW" in machine.cause.text and "--fault OVERFLOW" in machine.cause.remedy
+            assert list((tmp_path / "blackbox").glob("*overflow*.gz"))
+            await machine.reset(ME, "OVERFLOW")
+            waist, shoulder, elbow, pitch, roll = machine.arm_state.homed
+            if board == "724":
+                assert (waist, elbow) == (False, False)
+            else:
+                assert (shoulder, pitch, roll) == (False, False, False)
+            await operations.home(machine, ME, machine.arm_state.unhomed()).wait()
+            assert machine.arm_state.homed == (True,) * 5
+
+    virtual(scenario())
+
+
+def test_another_configuration_is_not_believed(tmp_path: Path) -> None:
+    """The board still trusts its counts, but they were defined under another configuration of the host."""
+
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            machine = service.machine
+            await homed(service)
+            identify, status = machine.session.link.identify, machine.board_status
+            assert identify is not None and status is not None and status.trusted_mask & 31 == 31
+            assert "stay homed" in machine.arm_state.connected(identify, status)
+            other = type(machine.arm_state)(machine.arm, load_config(), machine.arm_state._file, lambda: "")
+            assert "another configuration" in other.connected(identify, status)
+            assert other.homed == (False,) * 5
+            (tmp_path / "position.json").write_text("{}")
+            assert "no usable position file" in machine.arm_state.connected(identify, status)
+            assert machine.arm_state.homed == (False,) * 5
+
+    virtual(scenario())
+
+
+def test_a_full_disk_stops_nothing_and_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import errno
+    import os
+
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            machine = service.machine
+            await homed(service)
+
+            def no_space(descriptor: int) -> None:
+                raise OSError(errno.ENOSPC, "No space left on device")
+
+            monkeypatch.setattr(os, "fsync", no_space)
+            await operations.move_joints(machine, ME, START).wait()
+            assert any("No space left" in warning for warning in service.status().warnings)
+            with pytest.raises(Rm501Error, match="No space left"):
+                service.teach.record("here", machine.arm_state.joints_deg)
+            monkeypatch.undo()
+            await operations.move_joints(machine, ME, NEXT).wait()
+            assert service.status().warnings == ()
+
+    virtual(scenario())
