@@ -5,15 +5,57 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from rm501_host.gcode.errors import GcodeFlowError, Location
-from rm501_host.gcode.interpreter import Interpreter, Settings
+from rm501_host.config import Config
+from rm501_host.gcode.canon import Signal
+from rm501_host.gcode.errors import GcodeUnsupportedError, Location
+from rm501_host.gcode.interpreter import Interpreter
+from rm501_host.gcode.program_log import ProgramLog
 from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, resolve
+from rm501_host.gcode.settings import Settings
 from rm501_host.gcode.source import FileLines
+from rm501_host.gcode.user_m import find_user_m, run_user_m
 from rm501_host.kinematics import Arm
-from rm501_host.moves import JointMove, Move, ToolChange
+from rm501_host.moves import JointMove, Move, OutputChange, ToolChange
 
 JointPosition = Callable[[], Sequence[float]]
 """Gives the joints (5,) in deg at the end of the moves taken so far."""
+
+_SIGNALS = {
+    "M3": (Signal.START_SPINDLE_CLOCKWISE,),
+    "M4": (Signal.START_SPINDLE_COUNTERCLOCKWISE,),
+    "M5": (Signal.STOP_SPINDLE_TURNING,),
+    "M7": (Signal.MIST_ON,),
+    "M8": (Signal.FLOOD_ON,),
+    "M9": (Signal.MIST_OFF, Signal.FLOOD_OFF),
+}
+
+
+def program_settings(config: Config, program: Path, *, start_line: int = 1) -> Settings:
+    """How `config` wants programs read: subroutines beside the program, its M codes, its block budget."""
+    return Settings(
+        subroutine_path=(program.resolve().parent,),
+        user_m=find_user_m(m_codes_folder(config)),
+        start_line=start_line,
+        max_blocks=config.preflight.max_blocks,
+    )
+
+
+def output_map(config: Config) -> dict[Signal, tuple[int, bool]]:
+    """What M3 to M9 switch, from `[gcode.outputs]`."""
+    return {signal: target for code, target in config.gcode.outputs.items() for signal in _SIGNALS[code]}
+
+
+def m_codes_folder(config: Config) -> Path | None:
+    """Where the executables of M codes are, None where there are none."""
+    folder = config.gcode.m_codes_folder
+    return None if folder is None else Path(folder)
+
+
+def run_external(config: Config, action: ExternalAction) -> None:
+    """Run the executable of an M code and wait for it (blocking); raises UserMCodeError."""
+    folder = m_codes_folder(config)
+    assert folder is not None, "an M code without a folder is refused when the program is read"
+    run_user_m(folder, action.number, action.p, action.q, timeout_s=config.gcode.m_codes_timeout_s)
 
 
 def read_moves(
@@ -22,11 +64,16 @@ def read_moves(
     joints_deg: JointPosition,
     on_warning: Callable[[str], None] | None = None,
     settings: Settings | None = None,
-) -> Iterator[Move]:
+    *,
+    config: Config | None = None,
+    log: ProgramLog | None = None,
+) -> Iterator[Move | ExternalAction]:
     """The moves of a program, read as they are taken.
 
-    `joints_deg` is asked before the first line and after every joint move, so that words that a block leaves out have
-    their true values. Raises GcodeError naming file and line; GcodeFileError when the file cannot be read as text.
+    `joints_deg` is asked before the first line, after every joint move and every change of the tool, so that words
+    that a block leaves out have their true values. `config` gives the settings (unless `settings` are given) and the
+    outputs; `log` carries out the program's log comments. Raises GcodeError naming file and line; GcodeFileError when
+    the file cannot be read as text.
     """
     source = FileLines.open(program)
 
@@ -35,19 +82,35 @@ def read_moves(
             on_warning(str(text))
 
     try:
-        settings = settings or Settings(subroutine_path=(program.resolve().parent,))
+        if settings is None:
+            folder = program.resolve().parent
+            settings = Settings(subroutine_path=(folder,)) if config is None else program_settings(config, program)
         interpreter = Interpreter(source, settings, on_warning=warn)
         interpreter.set_position(arm.program_from_joints(tuple(joints_deg())))
-        options = ResolveOptions(on_warning=lambda text, at: warn(f"{at}: {text}"))
+        options = ResolveOptions(
+            outputs={} if config is None else output_map(config),
+            on_log=log,
+            on_warning=lambda text, at: warn(f"{at}: {text}"),
+        )
         for move in resolve(interpreter.calls(), options):
-            if isinstance(move, ExternalAction):
-                error = GcodeFlowError(f"M{move.number} has no action", "Remove it, or run the program in the daemon.")
-                error.location = Location(move.source.file, move.source.line, move.source.block)
-                raise error
+            if isinstance(move, OutputChange) and config is not None:
+                _check_output(move, len(config.board.digital_outputs))
+            yield move
             if isinstance(move, ToolChange):
                 arm = arm.with_tool(move.length_mm, move.offset_mm)
-            yield move
-            if isinstance(move, JointMove):
+            if isinstance(move, JointMove | ToolChange):
                 interpreter.set_position(arm.program_from_joints(tuple(joints_deg())))
     finally:
         source.close()
+        if log is not None:
+            log.close()
+
+
+def _check_output(move: OutputChange, fitted: int) -> None:
+    if move.output < fitted:
+        return
+    error = GcodeUnsupportedError(
+        f"there is no digital output {move.output}: {fitted} are fitted", "List its pin in [board] digital_outputs."
+    )
+    error.location = Location(move.source.file, move.source.line, move.source.block)
+    raise error

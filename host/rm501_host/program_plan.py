@@ -15,7 +15,7 @@ from pathlib import Path
 from rm501_host.config import Config
 from rm501_host.errors import RefusedError
 from rm501_host.gcode.errors import GcodeLimitError
-from rm501_host.gcode.interpreter import Settings
+from rm501_host.gcode.program_log import ProgramLog
 from rm501_host.kinematics import Arm
 from rm501_host.planner import Piece, Planner
 from rm501_host.preflight import PreflightReport, ProgramCheck
@@ -45,9 +45,8 @@ def check_and_plan(
     Raises GcodeError and PlanError naming file and line, RefusedError with every error of the preflight, or where
     nothing moves.
     """
-    settings = Settings(subroutine_path=(program.resolve().parent,), max_blocks=config.preflight.max_blocks)
     check = ProgramCheck(arm, config, start_deg)
-    checked_moves = read_moves(program, arm, lambda: check.q_deg.tolist(), on_warning, settings)
+    checked_moves = read_moves(program, arm, lambda: check.q_deg.tolist(), on_warning, config=config)
     report = check.run(checked_moves, estimate=False, limit_error=GcodeLimitError)
     if not report.ok:
         raise RefusedError("\n".join(str(finding) for finding in report.errors))
@@ -55,7 +54,8 @@ def check_and_plan(
         for finding in report.findings:
             on_warning(str(finding))
     planner = Planner(arm, config, start_deg)
-    pieces = planner.plan(read_moves(program, arm, lambda: planner.q_deg.tolist()))
+    log = ProgramLog(program.resolve().parent, on_warning or (lambda text: None))
+    pieces = planner.plan(read_moves(program, arm, lambda: planner.q_deg.tolist(), config=config, log=log))
     if not report.complete or report.moves > EAGER_MOVES:
         return CheckedProgram(report, pieces)
     planned = tuple(pieces)

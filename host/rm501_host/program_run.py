@@ -12,17 +12,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from rm501_host.config import Config
 from rm501_host.config.board import board_config_from
 from rm501_host.errors import RefusedError, Rm501Error, StoppedError
+from rm501_host.gcode.resolve import ExternalAction
+from rm501_host.gcode.user_m import UserMCodeError
 from rm501_host.kinematics import Arm
 from rm501_host.motion import Homing, MotionStream, PieceRuns, Progress
 from rm501_host.moves import Message, Pause, ProgramEnd
 from rm501_host.planner import Piece, Plan
+from rm501_host.program import run_external
 from rm501_host.program_plan import CheckedProgram, check_and_plan
 from rm501_host.report import RunReport, WireFigures
 from rm501_host.session import BoardSession, open_session
@@ -69,7 +72,7 @@ class RunResult:
 
     report: RunReport
     error: Rm501Error | None
-    plan: Plan
+    plan: Plan = field(repr=False)
 
 
 async def run_program(program: Path, config: Config, options: RunOptions, watcher: Watcher) -> RunResult:
@@ -139,7 +142,7 @@ async def _play(
         while True:
             if await loop.run_in_executor(None, runs.peek):
                 await stream.play(runs.until_mark(), watcher.progress, on_segment=figures.add_segment)
-            if runs.mark is None or not _act(runs.mark, watcher):
+            if runs.mark is None or not await _act(runs.mark, config, watcher):
                 break
     except StoppedError as stopped:
         error = stopped
@@ -163,13 +166,18 @@ async def _play(
     return RunResult(report, error, Plan(arm, config, figures.pieces))
 
 
-def _act(mark: Piece, watcher: Watcher) -> bool:
+async def _act(mark: Piece, config: Config, watcher: Watcher) -> bool:
     """Do what a mark asks for, at rest; False at the program's end."""
     match mark.move:
         case Message(text=text):
             watcher.message(text)
         case ProgramEnd():
             return False
+        case ExternalAction() as action:
+            try:
+                await asyncio.get_running_loop().run_in_executor(None, run_external, config, action)
+            except UserMCodeError as failed:
+                raise StoppedError(f"{mark.source}: {failed}; the arm stands at rest there") from failed
         case Pause(kind=kind, source=source):
             watcher.message(f"{source}: {kind.value} passed without a pause: nobody is there to continue it")
         case move:

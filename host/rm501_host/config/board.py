@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from rm501_host.config.schema import Config, MotorSection
-from rm501_protocol.board_config import INPUT_LINES, OUTPUT_LINES, RM501_BOARD, BoardConfig
+from rm501_protocol.board_config import INPUT_LINES, OUTPUT_LINES, RM501_BOARD, BoardConfig, output_bit
 from rm501_protocol.config_pages import (
     ConfigHand,
     ConfigInputs,
@@ -72,6 +72,11 @@ def _pins(config: Config) -> ConfigPins:
         where = by_name[_SWAPPED_SELECTS[line.name]] if _swapped(wiring.swap_wrist_selects, line.name) else line
         inverted = line.inverted if wiring.outputs_active_low else not line.inverted
         fitted.append(OutputPin(line.source, where.bit, inverted))
+    for number, name in enumerate(config.board.digital_outputs):
+        port, pin = name.split(".")
+        fitted.append(
+            OutputPin(OutputSource.DIGITAL + number, output_bit(int(port), int(pin)), wiring.outputs_active_low)
+        )
     return ConfigPins(tuple(fitted))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rm501_host.config.schema import JOINT_NAMES, MOTOR_NAMES, Config, JointSection
+from rm501_protocol.board_config import OUTPUT_LINES, output_bit
 
 _SWITCH_INPUTS = ("SWITCH_ELBOW", "SWITCH_WAIST", "SWITCH_SHOULDER", "SWITCH_ROLL", "SWITCH_PITCH")
 _MIN_DETERMINANT = 1e-6
@@ -53,6 +54,15 @@ def complaints_about(config: Config) -> list[Complaint]:
                 "make it at least hold_acceleration_ratio",
             )
         )
+    for code, (output, _) in config.gcode.outputs.items():
+        if output >= len(config.board.digital_outputs):
+            found.append(
+                Complaint(
+                    f"gcode.outputs.{code}",
+                    f"there is no output {output}",
+                    "list its pin in board.digital_outputs",
+                )
+            )
     for index, box in enumerate(config.keep_out.boxes):
         if any(low >= high for low, high in zip(box.min_mm, box.max_mm, strict=True)):
             found.append(
@@ -124,6 +134,21 @@ def _about_board(config: Config) -> list[Complaint]:
     if not 2 <= len(board.table) <= 16:
         found.append(Complaint("board.table", f"{len(board.table)} entries", "give 2 to 16 entries"))
         return found
+    taken = {f"{line.port}.{line.pin}" for line in OUTPUT_LINES}
+    for index, name in enumerate(board.digital_outputs):
+        try:
+            output_bit(*(int(part) for part in name.split(".")))
+            free = name not in taken and board.digital_outputs.count(name) == 1
+        except ValueError:
+            free = False
+        if not free:
+            found.append(
+                Complaint(
+                    f"board.digital_outputs[{index}]",
+                    f"{name} is no free output pin",
+                    "use each of 0.1, 1.2, 1.7, 1.14, 1.16, 1.17 once at most",
+                )
+            )
     frame_us = board.base_period_us * len(board.table)
     step_frames = board.step.length_frames + board.step.space_frames
     fastest_steps_s = 1e6 / (frame_us * step_frames)

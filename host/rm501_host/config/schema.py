@@ -171,6 +171,7 @@ class BoardSection(_Section, frozen=True):
     link_timeout_ms: PositiveInt
     jog_lease_ms: PositiveInt
     limit_margin: Annotated[float, Meta(ge=1.0, le=1.2)]
+    digital_outputs: Annotated[tuple[Annotated[str, Meta(pattern=r"^[01]\.\d{1,2}$")], ...], Meta(max_length=8)]
     step: StepSection
     wiring: WiringSection
 
@@ -210,6 +211,18 @@ class KeepOutSection(_Section, frozen=True):
     boxes: tuple[BoxSection, ...] = ()
 
 
+class GcodeSection(_Section, frozen=True):
+    """`[gcode]`: what programs may call beyond motion.
+
+    `m_codes_folder`: executables M103 to M199, called with P and Q, relative to where the host was started. `outputs`:
+    what M3, M4, M5, M7, M8, M9 do, as [output, on]; a code that is not listed is refused (M5, M9: does nothing).
+    """
+
+    m_codes_timeout_s: Positive
+    m_codes_folder: str | None = None
+    outputs: dict[Literal["M3", "M4", "M5", "M7", "M8", "M9"], tuple[Annotated[int, Meta(ge=0, le=7)], bool]] = {}
+
+
 class PreflightSection(_Section, frozen=True):
     """`[preflight]`: how far a program that never ends is checked before it starts."""
 
@@ -231,6 +244,7 @@ class Config(_Section, frozen=True):
     link: LinkSection
     planner: PlannerSection
     keep_out: KeepOutSection
+    gcode: GcodeSection
     preflight: PreflightSection
 
     @property

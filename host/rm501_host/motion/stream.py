@@ -293,7 +293,8 @@ class MotionStream:
             case FaultReport():
                 self._fault = notice
             case Refused():
-                self._refused = notice
+                # those that follow a refused segment are refused for the gap it left: the first one tells why
+                self._refused = self._refused or notice
             case TriggerReport():
                 self._trigger = notice
             case Status():
