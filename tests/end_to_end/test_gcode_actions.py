@@ -45,7 +45,8 @@ def test_an_m_code_without_an_executable_is_refused(tmp_path: Path) -> None:
 
 
 def test_spindle_and_coolant_words_switch_the_outputs_that_are_configured(tmp_path: Path) -> None:
-    text = f'extends = "{RM501}"\n[board]\ndigital_outputs = ["0.1", "1.2", "1.7"]\n[gcode.outputs]\nM3 = [0, true]\nM5 = [0, false]\nM8 = [2, true]\n'
+    text = f'extends = "{RM501}"\n[board]\ndigital_outputs = ["0.1", "1.2", "1.7"]\n'
+    text += "[gcode.outputs]\nM3 = [0, true]\nM5 = [0, false]\nM8 = [2, true]\n"
     config = load_config(write(tmp_path / "c.toml", text))
     run = run_in_cell(write(tmp_path / "x.ngc", HEAD + "M3 S100\nG1 Z190 F2000\nM5 M8\nM2\n"), config)
     assert run.result.report.result == "ok"
