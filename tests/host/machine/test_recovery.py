@@ -152,3 +152,22 @@ def test_a_full_disk_stops_nothing_and_is_shown(tmp_path: Path, monkeypatch: pyt
             assert service.status().warnings == ()
 
     virtual(scenario())
+
+
+def test_shutting_down_brings_a_moving_arm_to_rest_with_motors_held(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            machine = service.machine
+            await homed(service)
+            await operations.move_joints(machine, ME, START).wait()
+            job = operations.move_joints(machine, ME, NEXT)
+            await asyncio.sleep(0.5)
+            await machine.shut_down()
+            assert job.done.is_set() and job.error is not None
+            status = machine.board_status
+            assert status is not None and status.state.name == "READY" and status.power and status.rate == 0
+            assert machine.arm_state.homed == (True,) * 5
+
+    virtual(scenario())
+    record = (tmp_path / "position.json").read_text()
+    assert '"dirty":false' in record
