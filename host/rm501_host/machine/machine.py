@@ -57,6 +57,7 @@ from rm501_protocol.transport import Transport
 _LOGGER = logging.getLogger(__name__)
 _REST_TIMEOUT_S = 15.0
 """An on-path stop from full speed takes 1.7 s on the thesis's program; this is far above any."""
+_REPORT_TIMEOUT_S = 2.0
 _NOTICE_S = 0.5
 """A job whose motion the board has ended notices within a status period; if not, it is ended."""
 _SYSTEM = Owner(0, "the machine")
@@ -420,9 +421,16 @@ class Machine:
         return status
 
     async def _drop_queue(self, session: BoardSession, status: Status) -> None:
-        """Drop what is queued behind a hold, once: a second Truncate would hit the motion after it."""
+        """Drop what is queued behind a hold, once: a second Truncate would hit the motion after it. Waits for the
+        report of the end, too: one that comes late would be taken for the end of the next motion.
+        """
+        before = self.last_end
         with contextlib.suppress(BoardRefusedError):
             await session.command(Truncate(status.motion_frame), lambda now: now.state is not BoardState.HELD)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_REPORT_TIMEOUT_S):
+                    while self.last_end is before and session.failure is None:  # noqa: ASYNC110  # a plain poll
+                        await asyncio.sleep(0.01)
 
     # ---------------------------------------------------------------------------------- reset, power
 
