@@ -32,23 +32,6 @@ class MotorMap:
         result: Array = steps @ self._backward.T
         return result
 
-    def clipped(self, steps_per_frame2: Array, ratio: float) -> Array:
-        """Accelerations (5,) in steps/frame^2 brought within `ratio` of the limits: motors that are joints one by
-        one, the two of the wrist together.
-        """
-        limits = self.limits
-        unit = self._frame_s**2
-        joints = limits.joint_acceleration_deg_s2 * limits.steps_per_deg
-        bounds = np.minimum(limits.motor_acceleration_steps_s2, joints) * (unit * ratio)
-        result: Array = np.clip(steps_per_frame2, -bounds, bounds)
-        result[3:] = steps_per_frame2[3:]
-        wrist = np.zeros(5)
-        wrist[3:] = result[3:]
-        worst = self.acceleration_ratio(wrist[None])
-        if worst > ratio:
-            result[3:] *= ratio / worst
-        return result
-
     def acceleration_ratio(self, steps_per_frame2: Array) -> float:
         """Largest of |acceleration| / limit over motors and joints, for (n, 5) in steps/frame^2."""
         motors = steps_per_frame2 / self._frame_s**2

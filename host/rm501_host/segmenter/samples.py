@@ -40,11 +40,10 @@ class Samples:
         end = round(last / self._frame_s) if piece.ends_at_rest else int(np.ceil(last / self._frame_s - 1e-6)) - 1
         known = int(self.frames[-1]) if len(self.frames) else -1
         grid = np.arange(-(-begin // SAMPLE_FRAMES) * SAMPLE_FRAMES, end + 1, SAMPLE_FRAMES, dtype=np.int64)
-        times, side = piece.law.kinks_s()
+        times, _ = piece.law.kinks_s()
         places = (times + first) / self._frame_s
-        # to a whole frame on the side where the acceleration is smaller: the stronger phase stays pure
-        kinks = np.where(side < 0, np.floor(places + 1e-6), np.where(side > 0, np.ceil(places - 1e-6), np.rint(places)))
-        kinks = kinks.astype(np.int64)
+        # the frames before and after: within that frame the mean acceleration is played, on both sides the pure one
+        kinks = np.unique(np.concatenate((np.floor(places + 1e-6), np.ceil(places - 1e-6)))).astype(np.int64)
         kinks = kinks[(kinks > max(begin, known)) & (kinks < end)]
         edges = [begin] if not len(self.frames) else []
         if piece.ends_at_rest:
@@ -70,6 +69,31 @@ class Samples:
         self.steps = self.steps[index:]
         self.speeds = self.speeds[index:]
         self.is_kink = self.is_kink[index:]
+
+    def close(self, at: int, steps_now: Array, speed_now: Array) -> None:
+        """Bend the samples from `at` to the rest at the end so that straight lines of speed between them lead there.
+
+        For the last few frames before a rest, where kinks leave no room for corrections: the speeds are the ideal ones
+        plus a bump (a triangle over the time left) that makes the travel exact; the positions are those that follow.
+        """
+        frames = self.frames[at:].astype(np.float64)
+        lengths = np.diff(frames)[:, None]
+        speeds = self.speeds[at:].copy()
+        speeds[0] = speed_now
+        bump = np.minimum(frames - frames[0], frames[-1] - frames)[:, None]
+        missing = self.steps[-1] - steps_now - _travel(speeds, lengths).sum(axis=0)
+        area = float(_travel(bump, lengths).sum())
+        if area > 0.0:
+            speeds += bump * (missing / area)
+        self.speeds[at:] = speeds
+        self.steps[at] = steps_now
+        self.steps[at + 1 :] = steps_now + np.cumsum(_travel(speeds, lengths), axis=0)
+
+
+def _travel(speeds: Array, lengths: Array) -> Array:
+    """Travel over each interval (n - 1, k) when the speed (n, k) is linear between its ends."""
+    travel: Array = 0.5 * (speeds[1:] + speeds[:-1]) * lengths
+    return travel
 
 
 def _away_from(frames: NDArray[np.int64], fixed: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -35,10 +35,11 @@ START_TOLERANCE_STEPS = 1.0
 """A plan that starts farther than this from where the board is belongs to another position."""
 RATIO = 1.018
 """Largest acceleration of a segment's polynomial against the planning limits; the board refuses above 1.02."""
-MOST_JERK = 7.4e-6
-"""Largest j in steps/frame^3 that fits the wire's 32 bits, with some room."""
-ROOM_FRAMES = 64
-"""A segment that has to come to a kink between two frames needs about this length (its j is limited)."""
+CLOSING_FRAMES = 256
+"""From here to a rest the samples may be bent: a correction of 1e-4 step over so long takes 1e-8 step/frame^2."""
+LONGEST_FALLBACK = 16
+MOST_DRIFT_STEPS = 1e-4
+"""What a longer parabola at the ideal speeds may drift from the ideal places."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,69 +204,39 @@ class Segmenter:
                     low, best = middle, fitted
         if best is None:
             low, best = self._shortest(samples, at)
-        low, best = self._clear_of_kinks(samples, at, low, best)
         self._guess = max(1, low - at)
         return low, *best
 
-    def _clear_of_kinks(
-        self, samples: Samples, at: int, end: int, best: tuple[Cubic, tuple[MotorTerm, ...], float]
-    ) -> tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]]:
-        """An end shortly before a kink leaves too little room to come to it smoothly: end at a kink before, or well
-        before that one.
-        """
-        frames, kinks = samples.frames, samples.is_kink
-        ahead = np.flatnonzero(kinks[end + 1 : end + 1 + ROOM_FRAMES])
-        if kinks[end] or not len(ahead):
-            return end, best
-        room = frames[end + 1 + int(ahead[0])] - ROOM_FRAMES
-        if frames[end] <= room:
-            return end, best
-        passed = np.flatnonzero(kinks[at + 1 : end])
-        choices = [at + 1 + int(passed[-1])] if len(passed) else []
-        choices.append(int(np.searchsorted(frames, room, side="right")) - 1)
-        for choice in choices:
-            fitted = self._try(samples, at, choice) if choice > at else None
-            if fitted is not None:
-                return choice, fitted
-        return end, best
-
     def _shortest(self, samples: Samples, at: int) -> tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]]:
-        """Where the longest lengths tried do not fit: a short one, whose j fits 32 bits (a small difference of speeds
-        over few frames takes a large j), or else a parabola over the shortest.
+        """Where the longest lengths tried do not fit.
+
+        A short cubic, whose j fits 32 bits (a small difference of speeds over few frames takes a large j). Or, close
+        before a rest, the samples bent so that parabolas between them lead exactly there. Or a parabola at the ideal
+        speeds: a kink between two frames leaves a mean acceleration and no room for more; what it is off by, some
+        1e-5 step, is made good where there is room again.
         """
         last = len(samples.frames) - 1
         for length in (12, 24, 8, 48, 16, 32, 96, 6, 64, 4, 128, 3, 2, 1):
             fitted = self._try(samples, at, at + length) if at + length <= last else None
             if fitted is not None:
                 return at + length, fitted
-        for length in (48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1):
-            matched = self._speed_matched(samples, at, at + length) if at + length <= last else None
-            if matched is not None:
-                return at + length, matched
-        nearest: tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]] | None = None
-        least = np.inf
-        for length in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48):
-            held = self._held_back(samples, at, at + length) if at + length < last else None
-            if held is not None:
-                frames = int(samples.frames[at + length] - samples.frames[at])
-                off = float(np.abs(held[0].end_speed(frames) - samples.speeds[at + length]).max())
-                if off < least:
-                    least, nearest = off, (at + length, held)
-        if nearest is not None:
-            return nearest
-        for end in range(at + 1, min(at + 5, last + 1)):
-            fitted = self._try(samples, at, end, forced=True)
-            if fitted is not None:
-                return end, fitted
-        raise PlanError("a motor would have to accelerate faster than a segment can say")
+        if samples.is_complete and samples.frames[last] - samples.frames[at] <= CLOSING_FRAMES:
+            samples.close(at, self._steps_now(), self._speed)
+        found: tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]] | None = None
+        for length in range(1, min(LONGEST_FALLBACK, last - at) + 1):
+            matched = self._speed_matched(samples, at, at + length)
+            if matched is None or (found is not None and matched[2] > MOST_DRIFT_STEPS):
+                break
+            found = at + length, (*matched[:2], matched[3])
+        if found is None:
+            raise PlanError("a motor would have to accelerate faster than a segment can say")
+        return found
 
-    def _speed_matched(self, samples: Samples, at: int, end: int) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
-        """The parabola that ends at the ideal speed and only near the ideal place: a kink between two frames leaves a
-        mean acceleration, no room for more. What it is off by stays within the tolerance and is made good later.
-        """
+    def _speed_matched(
+        self, samples: Samples, at: int, end: int
+    ) -> tuple[Cubic, tuple[MotorTerm, ...], float, float] | None:
+        """The parabola that ends at the samples' speed: with how far it drifts from them, and its largest error."""
         frames = int(samples.frames[end] - samples.frames[at])
-        if end == len(samples.frames) - 1:
-            return None
         bend = (samples.speeds[end] - self._speed) / (2.0 * frames)
         cubic = Cubic(self._speed, bend, np.zeros_like(bend))
         if self._motors.acceleration_ratio((2.0 * bend)[None, :]) > RATIO:
@@ -273,36 +244,15 @@ class Segmenter:
         start = self._steps_now()
         inner = (samples.frames[at + 1 : end + 1] - samples.frames[at]).astype(np.float64)
         offsets = cubic.offsets(inner)
-        error = float(np.abs(offsets + start - samples.steps[at + 1 : end + 1]).max())
-        if error > self._tolerance:
+        apart = offsets + start - samples.steps[at + 1 : end + 1]
+        drift = float(np.abs(apart[-1] - (start - samples.steps[at])).max())
+        error = float(np.abs(apart).max())
+        if error > max(self._tolerance, float(np.abs(start - samples.steps[at]).max())):
             return None
         terms = to_wire(cubic, self._positions, start + offsets[-1], frames)
-        return None if terms is None else (cubic, terms, error)
+        return None if terms is None else (cubic, terms, drift, error)
 
-    def _held_back(self, samples: Samples, at: int, end: int) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
-        """The cubic with its accelerations clipped to the limits; its end is then near the ideal, not on it, and the
-        next segment takes over from there.
-        """
-        frames = int(samples.frames[end] - samples.frames[at])
-        start = self._steps_now()
-        wished = hermite(samples.steps[end] - start, self._speed, samples.speeds[end], frames)
-        first = self._motors.clipped(2.0 * wished.c, RATIO)
-        last = self._motors.clipped(2.0 * wished.c + 6.0 * frames * wished.d, RATIO)
-        steep = np.abs(last - first) > MOST_JERK * frames
-        middle = 0.5 * (first + last)
-        first, last = np.where(steep, middle, first), np.where(steep, middle, last)
-        cubic = Cubic(self._speed, 0.5 * first, (last - first) / (6.0 * frames))
-        inner = (samples.frames[at + 1 : end + 1] - samples.frames[at]).astype(np.float64)
-        offsets = cubic.offsets(inner)
-        error = float(np.abs(offsets + start - samples.steps[at + 1 : end + 1]).max())
-        if error > self._tolerance:
-            return None
-        terms = to_wire(cubic, self._positions, start + offsets[-1], frames)
-        return None if terms is None else (cubic, terms, error)
-
-    def _try(
-        self, samples: Samples, at: int, end: int, *, forced: bool = False
-    ) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
+    def _try(self, samples: Samples, at: int, end: int) -> tuple[Cubic, tuple[MotorTerm, ...], float] | None:
         frames = int(samples.frames[end] - samples.frames[at])
         if frames > MAX_LENGTH_CUBIC_FRAMES:
             return None
@@ -318,13 +268,13 @@ class Segmenter:
             quadratic(target - start, self._speed, frames),
             hermite(target - start, self._speed, last_speed, frames),
         ):
-            if not forced and float(np.abs(cubic.end_speed(frames) - last_speed).max()) > 2e-7:
+            if float(np.abs(cubic.end_speed(frames) - last_speed).max()) > 2e-7:
                 continue
             error = float(np.abs(cubic.offsets(inner) + start - ideal).max(initial=0.0))
             if error > tolerance:
                 continue
             accelerations = np.stack((2.0 * cubic.c, 2.0 * cubic.c + 6.0 * frames * cubic.d))
-            if not forced and self._motors.acceleration_ratio(accelerations) > RATIO:
+            if self._motors.acceleration_ratio(accelerations) > RATIO:
                 continue
             best = (cubic, error)
             break
