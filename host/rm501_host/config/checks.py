@@ -91,6 +91,10 @@ def _about_joint(key: str, joint: JointSection) -> list[Complaint]:
                 "put the home position inside the joint's range",
             )
         )
+    if joint.backlash_deg != 0:
+        found.append(
+            Complaint(f"{key}.backlash_deg", "backlash is not compensated yet", "set it to 0: no play is taken up")
+        )
     if home.input not in _SWITCH_INPUTS:
         found.append(
             Complaint(f"{key}.home.input", f"{home.input!r} is no switch input", f"use one of {_SWITCH_INPUTS}")

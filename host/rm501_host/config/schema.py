@@ -205,8 +205,14 @@ class BoxSection(_Section, frozen=True):
 
 
 class KeepOutSection(_Section, frozen=True):
-    """`[keep_out]`: where the arm must not be; the table plane is z = `table_z_mm` in the base frame."""
+    """`[keep_out]`: where the arm must not be; the table plane is z = `table_z_mm` in the base frame.
 
+    The arm is checked with its thickness: capsules of these radii around upper arm, forearm and hand.
+    """
+
+    upper_arm_radius_mm: Positive
+    forearm_radius_mm: Positive
+    hand_radius_mm: Positive
     table_z_mm: float | None = None
     boxes: tuple[BoxSection, ...] = ()
 

@@ -12,7 +12,6 @@ from rm501_host.kinematics import Arm
 from rm501_host.moves import Dwell, Feed, InputWait, LinearMove, Move, RapidMove, ToolChange
 from rm501_host.planner import Plan, Planner
 from rm501_host.preflight import FindingKind, KeepOut, PreflightReport, Severity, check_program, suggest_via
-from rm501_host.preflight.keep_out import joints_in_space
 from tests.host.planner.programs import PICK_START_DEG, at, pick_and_place, target
 
 CONFIG = load_config()
@@ -168,31 +167,44 @@ def test_a_link_enters_a_box_though_the_tip_stays_out() -> None:
     assert finding.q_deg is not None
 
 
-def test_links_are_where_the_dh_frames_are() -> None:
-    rng = np.random.default_rng(5)
-    for _ in range(20):
-        q = rng.uniform(*ARM.limits_deg)
-        frames = ARM.frames(q)
-        points = joints_in_space(ARM, q[None])[0]
-        np.testing.assert_allclose(points[0], frames[1][:3, 3], atol=1e-9)
-        np.testing.assert_allclose(points[1], frames[2][:3, 3], atol=1e-9)
-        np.testing.assert_allclose(points[2], frames[3][:3, 3], atol=1e-9)
-        np.testing.assert_allclose(points[4], frames[6][:3, 3], atol=1e-9)
-
-
 def test_box_entry_agrees_with_dense_points_on_the_links() -> None:
     rng = np.random.default_rng(7)
     box = BoxSection(name="cube", min_mm=(100.0, -60.0, 150.0), max_mm=(220.0, 60.0, 330.0))
+    low, high = np.array(box.min_mm), np.array(box.max_mm)
     keep_out = KeepOut(guarded(box))
-    q = rng.uniform(*ARM.limits_deg, size=(300, 5))
-    points = joints_in_space(ARM, q)
     shares = np.linspace(0, 1, 600)[:, None]
-    for row in range(len(q)):
-        dense = np.concatenate([points[row, i] + (points[row, i + 1] - points[row, i]) * shares for i in range(4)])
-        inside = ((dense > np.array(box.min_mm)) & (dense < np.array(box.max_mm))).all(axis=1).any()
-        found = keep_out.first_entry(ARM, q[row : row + 1], 0.0) is not None
-        # a link that only grazes an edge may fall between the dense points
-        assert found or not inside
-        if found and not inside:
-            grown = ((dense > np.array(box.min_mm) - 1) & (dense < np.array(box.max_mm) + 1)).all(axis=1).any()
-            assert grown
+    seen = {True: 0, False: 0}
+    for q in rng.uniform(*ARM.limits_deg, size=(300, 5)):
+        frames = ARM.frames(q)
+        shoulder, elbow, wrist, tip = (frames[index][:3, 3] for index in (1, 2, 3, 6))
+        palm = tip - (tip - wrist) * 35.0 / np.linalg.norm(tip - wrist)
+        nearest = min(
+            np.linalg.norm(points - np.clip(points, low, high), axis=1).min() - radius_mm
+            for points, radius_mm in (
+                (shoulder + (elbow - shoulder) * shares, 60.0),
+                (elbow + (wrist - elbow) * shares, 50.0),
+                (wrist + (palm - wrist) * shares, 35.0),
+            )
+        )
+        found = keep_out.first_entry(ARM, q[None], 0.0) is not None
+        seen[found] += 1
+        if abs(nearest) > 0.2:  # between the dense points
+            assert found == (nearest < 0.0)
+    assert min(seen.values()) > 30
+
+
+def test_a_link_is_as_thick_as_configured() -> None:
+    """Beside the stretched-out forearm: the gap decides, and it is measured from the skin."""
+    q = np.array([[0.0, 45.0, -45.0, 90.0, 0.0]])
+    elbow_z = 230.0 + 220.0 * np.sin(np.pi / 4)
+    elbow_x = 220.0 * np.cos(np.pi / 4)
+    for gap, entered in ((0.5, False), (-0.5, True)):
+        side = 50.0 + gap
+        box = BoxSection(
+            name="wall", min_mm=(elbow_x + 65.0, side, elbow_z - 5.0), max_mm=(elbow_x + 75.0, 300.0, elbow_z + 5.0)
+        )
+        entry = KeepOut(guarded(box)).first_entry(ARM, q, 0.0)
+        assert (entry is not None) is entered
+        if entry is not None:
+            assert entry[1] == "the forearm would enter 'wall'"
+            assert entry[2] == pytest.approx(0.5)
