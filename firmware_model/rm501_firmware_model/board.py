@@ -41,8 +41,9 @@ class Board:
 
     `boot_epoch` stands for the random number that a real board draws at boot. Without `configured` the board is as
     new: it uses `config` for its pins, but refuses motion until a configuration has been committed. `codec` is the
-    link's, a byte stream by default; `bytes_per_second` is the speed of the line, which the link keeps to. Raises
-    ConfigError for a contradictory configuration.
+    link's, a byte stream by default; `bytes_per_second` is the speed of the line, which the link keeps to.
+    `first_frame` and `first_motion_frame` (u32) are the numbers of the first frames, 0 on real hardware: with others a
+    wrap of the counters, which takes 15 days, is seconds away. Raises ConfigError for a contradictory configuration.
     """
 
     def __init__(
@@ -54,6 +55,8 @@ class Board:
         configured: bool = True,
         codec: Codec | None = None,
         bytes_per_second: int | None = 25_000,
+        first_frame: int = 0,
+        first_motion_frame: int = 0,
     ) -> None:
         problems = config.problems()
         if problems:
@@ -63,6 +66,7 @@ class Board:
         self._pins = pins
         self._config = config
         self._core = Core(BoardLayout(config), QUEUE_SLOTS, 1 if configured else 0)
+        self._core.number_from(first_frame, first_motion_frame)
         self._commands = Commands(self._core, self._send, self._configure)
         self._link = BoardLink(boot_epoch, self._identity(), codec=codec, bytes_per_second=bytes_per_second)
 
@@ -71,7 +75,7 @@ class Board:
 
     @property
     def frame(self) -> int:
-        """Real frames made since boot; the next one to be made has this number."""
+        """Number of the real frame to be made next, from `first_frame` at boot; never wraps here."""
         return self._core.real_frame
 
     @property
@@ -122,6 +126,14 @@ class Board:
         """Frame by which `transmit` should be called again for the link's own sake; None: only for a new reason."""
         deadline_us = self._link.next_deadline_us()
         return None if deadline_us is None else -(-deadline_us // self.frame_us)
+
+    def quiet_until(self) -> int:
+        """First frame that may give the board something to say, as far as is known now; at least `frame`.
+
+        Unless bytes arrive or the promise of the pins is withdrawn, `transmit` at this frame or earlier gives nothing
+        more, and whoever paces the board need not run it before. The reference makes no such promise.
+        """
+        return self._core.real_frame
 
     def run_until(self, frame: int) -> None:
         """Make all frames up to `frame`, exclusive."""
@@ -199,9 +211,7 @@ class Board:
         old = self._core
         core = Core(BoardLayout(config), QUEUE_SLOTS, 1)
         core.stimulus = Stimulus.CONFIG_COMMIT
-        core.real_frame = -(-old.real_frame * old.layout.frame_us // core.layout.frame_us)
-        core.heard_frame = core.real_frame
-        core.status_due = core.real_frame
+        core.number_from(-(-old.real_frame * old.layout.frame_us // core.layout.frame_us), 0)
         core.reports = old.reports | Report.STATUS
         self._core = core
         self._config = config

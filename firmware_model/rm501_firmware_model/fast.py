@@ -61,6 +61,19 @@ class FastBoard(Board):
             if core.reports:
                 self._report()
 
+    def quiet_until(self) -> int:
+        """First frame that may give the board something to say: a timer, an input, the end of a segment, the link."""
+        core = self._core
+        now = core.real_frame
+        until = core.wake
+        if core.reports or until <= now or not core.sampled or not core.inputs.quiet(self._pins.read_inputs(now)):
+            return now
+        due = self.next_transmit_frame()
+        if due is not None and due <= until:
+            until = due - 1
+        until = min(until, self._pins.inputs_stable_until(now), now + MAX_STRETCH_FRAMES)
+        return now + self._steady_frames(until - now) if core.motion.moving and until > now else max(now, until)
+
     # ------------------------------------------------------------------------------------------------- how far at once
 
     def _stretch(self, end: int, inputs: int) -> int:
@@ -74,9 +87,13 @@ class FastBoard(Board):
         if hand.pending or hand.high_frames or hand.rise_wait or hand.dir_wait:
             return 0
         frames = min(frames, MAX_STRETCH_FRAMES, self._pins.inputs_stable_until(now) - now)
+        return self._steady_frames(frames) if core.motion.moving else frames
+
+    def _steady_frames(self, frames: int) -> int:
+        """Of so many real frames in motion, those in which only motion at a constant rate can happen."""
+        core = self._core
         motion = core.motion
-        if not motion.moving:
-            return frames
+        now = core.real_frame
         if motion.gated:
             wait = (motion.start_frame - now) & FRAME_MASK
             return min(frames, wait) if not motion.braking and wait <= FRAME_MASK >> 1 else 0

@@ -108,6 +108,8 @@ class Bench:
         self._watches: list[tuple[Joint, float, float, Callable[[], None]]] = []
         self._steady_until = 0
         self._touched = False
+        self.on_withdrawal: Callable[[], None] | None = None
+        """Called whenever a promise of `inputs_stable_until` is withdrawn."""
         self._active = [False] * len(INPUT_LINES)
         self._word = 0
 
@@ -214,12 +216,12 @@ class Bench:
         """Have `action` happen at the start of real `frame`, before the inputs of that frame are read."""
         heapq.heappush(self._agenda, (frame, self._agenda_count, action))
         self._agenda_count += 1
-        self._steady_until = min(self._steady_until, frame)
+        self._withdraw_promise(min(self._steady_until, frame))
 
     def when_passing(self, joint: Joint, upwards: bool, angle_deg: float, action: Callable[[], None]) -> None:
         """Call `action` once, when the true angle of `joint` is first seen at or past `angle_deg`."""
         self._watches.append((joint, 1.0 if upwards else -1.0, angle_deg, action))
-        self._steady_until = 0
+        self._withdraw_promise(0)
 
     def truth(self, frame: int | None = None) -> Truth:
         """The state of the world at the last settled frame, or at `frame` when all its port words are known."""
@@ -382,8 +384,14 @@ class Bench:
     def world_changed(self) -> None:
         """Somebody has changed the world by hand: promises given before are void from the next frame on."""
         self.plant.estop_open = InputId.ESTOP in self._pressed
-        self._steady_until = 0
         self._touched = True
+        self._withdraw_promise(0)
+
+    def _withdraw_promise(self, frame: int) -> None:
+        """The inputs are promised up to `frame` only."""
+        self._steady_until = frame
+        if self.on_withdrawal is not None:
+            self.on_withdrawal()
 
     @staticmethod
     def _require_button(button: InputId) -> None:

@@ -75,9 +75,10 @@ class Emulator:
         self.resets = 0
         self._config = RM501_BOARD
         self._boots = stream(options.seed, "boot identity")
-        self._first_frame = 0
+        self._first_frame = 0  # of the bench, when the board's count was 0
+        self._boot_frame = 0
         self._asked_frame = 0
-        self.board = self._boot()
+        self.board = self._boot(0)
 
     @property
     def frame(self) -> int:
@@ -93,7 +94,7 @@ class Emulator:
     @property
     def in_reset(self) -> bool:
         """Whether the microcontroller is off or held in reset at the frame last asked for."""
-        return self._asked_frame < self._first_frame
+        return self._asked_frame < self._boot_frame
 
     def truth(self) -> Truth:
         """The world as it stands now."""
@@ -114,6 +115,10 @@ class Emulator:
         """The same, one item a packet, for boards built for packets."""
         return [] if self.in_reset else self.board.transmit_packets()
 
+    def quiet_until(self) -> int:
+        """First frame that may give the board something to say, unless bytes arrive or the bench is changed by hand."""
+        return self.frame if self.in_reset else self._first_frame + self.board.quiet_until()
+
     def advance_to(self, frame: int) -> None:
         """Run the board to real `frame`; nothing happens when it is there already."""
         self._asked_frame = max(frame, self._asked_frame)
@@ -126,8 +131,15 @@ class Emulator:
         self.resets += 1
         words = np.full(dark_frames * self.clock.periods_per_frame, FLOATING_WORD, dtype=np.uint32)
         self.bench.write_block(now, words)
-        self._first_frame = now + dark_frames
-        self.board = self._boot()
+        self.board = self._boot(now + dark_frames)
+
+    def boot_with_counters(self, real_frame: int, motion_frame: int, dark_frames: int = 1) -> None:
+        """Boot with frame counters (u32) that stand as if the board had run for days; at power-up, else by a reset."""
+        if self.frame == 0:
+            self.board = self._boot(0, real_frame, motion_frame)
+        else:
+            self.reset_microcontroller(dark_frames)
+            self.board = self._boot(self._boot_frame, real_frame, motion_frame)
 
     def _follow_configuration(self) -> None:
         """A configuration was committed: with another frame length the board has recounted its frames."""
@@ -135,19 +147,28 @@ class Emulator:
         clock = FrameClock(self._config.timing.base_period_us, self._config.frame_periods)
         if clock != self.clock:
             self._first_frame = -(-self._first_frame * self.clock.frame_us // clock.frame_us)
-            self._asked_frame = self._first_frame + self.board.frame
+            self._asked_frame = self._boot_frame = self._first_frame + self.board.frame
             self.clock = clock
             self.pins.first_frame = self._first_frame
             self.bench.reclock(clock, self.frame)
 
-    def _boot(self) -> Board:
+    def _boot(self, at_frame: int, real_frame: int = 0, motion_frame: int = 0) -> Board:
         # A new board knows nothing of an earlier one's configuration.
         default = FrameClock(RM501_BOARD.timing.base_period_us, RM501_BOARD.frame_periods)
         if self.clock != default:
-            self._first_frame = -(-self._first_frame * self.clock.frame_us // default.frame_us)
+            at_frame = -(-at_frame * self.clock.frame_us // default.frame_us)
             self.clock = default
-            self.bench.reclock(default, self._first_frame)
+            self.bench.reclock(default, at_frame)
+        self._boot_frame = at_frame
+        self._first_frame = at_frame - real_frame
         self.pins = _PinsSinceBoot(self.bench, self._first_frame)
         epoch = int(self._boots.integers(1, 1 << 32))
         codec = PacketCodec() if self.options.packets else None
-        return _BOARDS[self.options.firmware](RM501_BOARD, self.pins, epoch, codec=codec)
+        return _BOARDS[self.options.firmware](
+            RM501_BOARD,
+            self.pins,
+            epoch,
+            codec=codec,
+            first_frame=real_frame,
+            first_motion_frame=motion_frame,
+        )

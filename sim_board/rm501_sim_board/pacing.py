@@ -3,6 +3,9 @@
 Only `loop.time()`, `loop.call_at()` and `loop.call_soon()` are used, so the same code is paced by the wall clock or
 jumps on a virtual one. A process that was late runs every frame it missed; time is never skipped and never dropped.
 
+The board is run at regular ticks, which is when its unasked messages leave. Ticks at which it surely has nothing to
+say are left out, and the frames they would have made are made later in one piece; the others keep their times.
+
     host ── write ──► line to board ──► at its arrival: run the board to now, let it receive
     host ◄─ data ─── line to host  ◄── after every run: what the board has sent
 """
@@ -19,6 +22,8 @@ from rm501_sim_board.randomness import stream
 DEFAULT_BAUD = 250_000
 # Unasked messages (status, triggers, faults) leave the board at the next tick.
 DEFAULT_TICK_S = 0.020
+# No stretch of left out ticks is longer than that: whoever runs a board in real time should not have to catch up.
+_LEFT_OUT_S = 0.25
 # After bytes have reached the board its answer is fetched this many frames later.
 _ANSWER_FRAMES = 2
 
@@ -57,7 +62,9 @@ class PacedBoard:
         self._on_plug: Callable[[bool], None] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._closed = False
-        self._wake_at(loop.time() + tick_s)
+        self._ticked_s = loop.time()
+        emulator.bench.on_withdrawal = self._leave_no_tick_out
+        self._wake_at(self._ticked_s + tick_s)
 
     # ------------------------------------------------------------ the port's side
 
@@ -113,8 +120,11 @@ class PacedBoard:
 
     def run_to_now(self) -> None:
         """Bring the emulator up to the loop's time and send what it has to say."""
-        if self._closed:
-            return
+        if not self._closed:
+            self._run()
+            self._leave_no_tick_out()
+
+    def _run(self) -> None:
         self.emulator.advance_to(self.frame_at(self.loop.time()))
         self._follow_frame_length()
         self._collect()
@@ -124,6 +134,7 @@ class PacedBoard:
         self._rebase(self.loop.time())
         self._drift = 1.0 + drift_ppm * 1e-6
         self._origin_frame += max(0.0, jump_s) / self._frame_s
+        self._leave_no_tick_out()
 
     # ------------------------------------------------------------ the fault's side
 
@@ -169,12 +180,32 @@ class PacedBoard:
         self.emulator.receive(data)
         self._follow_frame_length()
         self._collect()
-        self._wake_at(self.loop.time() + _ANSWER_FRAMES * self._frame_s)
+        self._wake_at(min(self._next_tick_s(), self.loop.time() + _ANSWER_FRAMES * self._frame_s))
 
     def _tick(self) -> None:
         self._timer = None
-        self.run_to_now()
-        self._wake_at(self.loop.time() + self._tick_s)
+        if self._closed:
+            return
+        self._run()
+        self._ticked_s = self.loop.time()
+        quiet_until = self.emulator.quiet_until()
+        latest_s = self._ticked_s + _LEFT_OUT_S
+        at_s = self._ticked_s + self._tick_s
+        while at_s < latest_s and self.frame_at(at_s) <= quiet_until:
+            at_s += self._tick_s
+        self._wake_at(at_s)
+
+    def _next_tick_s(self) -> float:
+        """When the next tick would be, had none been left out."""
+        now_s = self.loop.time()
+        at_s = self._ticked_s + self._tick_s
+        while at_s <= now_s:
+            at_s += self._tick_s
+        return at_s
+
+    def _leave_no_tick_out(self) -> None:
+        """What the board was thought to do may have changed: look at it at the next tick."""
+        self._wake_at(self._next_tick_s())
 
     def _wake_at(self, time_s: float) -> None:
         if self._closed:
