@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import logging
-import signal
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,6 +34,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "hold": ("rm501_host.client.commands:hold_command", "Hold on the path."),
     "resume": ("rm501_host.client.commands:resume_command", "Go on after a hold."),
     "stop": ("rm501_host.client.commands:stop_command", "Stop on the path, motors off."),
+    "abort": ("rm501_host.client.commands:abort_command", "End the program at rest, motors on."),
     "reset": ("rm501_host.client.commands:reset_command", "Clear a fault or a stop."),
     "gripper": ("rm501_host.client.commands:gripper_command", "Open or close the hand."),
     "teach": ("rm501_host.client.commands:teach_command", "Record, list and go to points."),
@@ -94,14 +95,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run_command_line(arguments: Sequence[str] | None = None) -> ExitCode:
     """Run one command; every error that we know becomes a line on standard error and its exit code."""
-    if hasattr(signal, "SIGPIPE"):
-        signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     try:
         result = cli.main(args=arguments, prog_name="rm501-host", standalone_mode=False)
     except click.exceptions.Exit as exit_request:
         return ExitCode(exit_request.exit_code)
     except click.Abort:
         return ExitCode.INTERRUPTED
+    except BrokenPipeError:
+        # whoever read our output went away (`| head`); what is left in the buffer has nowhere to go either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.OK
     except KeyboardInterrupt:
         click.echo("interrupted", err=True)
         return ExitCode.INTERRUPTED

@@ -46,7 +46,7 @@ class Service:
         self.folders = folders
         self.machine = Machine(config, parts)
         self.teach = TeachFile(folders.state / "points.toml")
-        self.around = Surroundings(folders.state, folders.programs, self.teach)
+        self.around = Surroundings(folders.state, folders.programs, self.teach, config=config)
         self.programs = Programs(self.machine, ProgramFiles(folders.programs), self.around)
         self.jogger = Jogger(self.machine)
         self.clients: dict[int, Client] = {}

@@ -14,15 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
+from rm501_host.config import Config
 from rm501_host.errors import RefusedError
-from rm501_host.gcode.canon import CanonCall, OperatorMessage
-from rm501_host.gcode.errors import GcodeFlowError, Location
+from rm501_host.gcode.canon import Axes, CanonCall, OperatorMessage, Units
+from rm501_host.gcode.context import ProbeResult
 from rm501_host.gcode.interpreter import Interpreter, Settings
 from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve
 from rm501_host.gcode.source import FileLines
 from rm501_host.gcode.tools import ToolTable, load_tool_table
+from rm501_host.gcode.user_m import find_user_m
 from rm501_host.kinematics import Arm
 from rm501_host.moves import JointMove, Message, Move, Pause, ProgramEnd, Source, ToolChange
+from rm501_host.program import m_codes_folder, output_map
 from rm501_host.storage import write_atomic
 from rm501_host.teach import TeachFile
 
@@ -44,8 +47,9 @@ class InputAnswer:
         del index, analog, mode, timeout_s
         return self.value
 
-    def probe_result(self, target: object) -> object:
+    def probe_result(self, start: Axes, target: Axes, units: Units) -> ProbeResult:
         """There is no probe."""
+        del start, target, units
         raise RefusedError("there is no probe input on this machine; remove G38 from the program")
 
 
@@ -57,6 +61,8 @@ class Surroundings:
     programs: Path
     teach: TeachFile
     answer: InputAnswer = field(default_factory=InputAnswer)
+    config: Config | None = None
+    """Gives the M codes of a folder and the outputs of M3 to M9; without it there are none."""
 
     @property
     def variables(self) -> Path:
@@ -81,7 +87,7 @@ class Surroundings:
             settings,
             tools=self.tools(),
             variables=variables,
-            feedback=self.answer,  # type: ignore[arg-type]  # probe_result only raises
+            feedback=self.answer,
         )
         for point in self.teach.points:
             for index, angle in enumerate(point.q_deg, start=1):
@@ -89,8 +95,13 @@ class Surroundings:
         return interpreter
 
     def settings(self, **changes: object) -> Settings:
-        """Settings with the subroutine folders."""
-        return Settings(subroutine_path=(self.programs, self.folder), **changes)  # type: ignore[arg-type]
+        """Settings with the subroutine folders and the M codes."""
+        handlers = find_user_m(None if self.config is None else m_codes_folder(self.config))
+        return Settings(subroutine_path=(self.programs, self.folder), user_m=handlers, **changes)  # type: ignore[arg-type]
+
+    def resolve_options(self) -> ResolveOptions:
+        """What M3 to M9 switch."""
+        return ResolveOptions(outputs={} if self.config is None else output_map(self.config))
 
     def save_variables(self, interpreter: Interpreter) -> None:
         """Keep the persistent parameters; raises GcodeFileError."""
@@ -119,7 +130,7 @@ class Surroundings:
 
 def program_moves(
     path: Path, arm: Arm, joints_deg: Joints, around: Surroundings, *, start_line: int, max_blocks: int, step: bool
-) -> Iterator[Move]:
+) -> Iterator[Move | ExternalAction]:
     """The moves of a program file, read as they are taken; raises GcodeError and its kin naming file and line.
 
     `step`: a STEP_MARK message after every block that moves.
@@ -130,17 +141,16 @@ def program_moves(
         interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
         last: Source | None = None
         tool = arm
-        for move in resolve(interpreter.calls(), ResolveOptions()):
-            _refuse_external(move)
+        for move in resolve(interpreter.calls(), around.resolve_options()):
             if isinstance(move, ToolChange):
                 tool = arm.with_tool(move.length_mm, move.offset_mm)
             if step and last is not None and move.source.line != last.line and not isinstance(move, ProgramEnd):
                 yield Message(STEP_MARK, last)
                 last = None
-            yield move  # type: ignore[misc]  # external actions were refused
+            yield move
             if not isinstance(move, Message | Pause | ProgramEnd | ToolChange):
                 last = move.source
-            if isinstance(move, JointMove):
+            if isinstance(move, JointMove | ToolChange):
                 interpreter.set_position(tool.program_from_joints(np.array(joints_deg())))
         around.save_variables(interpreter)
     finally:
@@ -160,10 +170,10 @@ class MdiSession:
         self._interpreter: Interpreter | None = None
         self._tool: ToolChange | None = None
         self._calls: Iterator[CanonCall] = iter(())
-        self._resolver = Resolver()
+        self._resolver = Resolver(around.resolve_options())
         self.history: deque[str] = deque(maxlen=MAX_MDI_HISTORY)
 
-    def moves(self, block: str, arm: Arm, joints_deg: Joints) -> Generator[Move, None, None]:
+    def moves(self, block: str, arm: Arm, joints_deg: Joints) -> Generator[Move | ExternalAction, None, None]:
         """The moves of one block; raises GcodeError, RefusedError."""
         if "\n" in block or "\r" in block:
             raise RefusedError("MDI takes one block; put several into a program")
@@ -181,12 +191,11 @@ class MdiSession:
                 if isinstance(call, OperatorMessage) and call.text.strip() == _END_OF_BLOCK:
                     break
                 for move in self._resolver.feed(call):
-                    _refuse_external(move)
                     if isinstance(move, ToolChange):
                         self._tool = move
                         arm = bare.with_tool(move.length_mm, move.offset_mm)
-                    yield move  # type: ignore[misc]  # external actions were refused
-                    if isinstance(move, JointMove):
+                    yield move
+                    if isinstance(move, JointMove | ToolChange):
                         interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
                     if isinstance(move, ProgramEnd):
                         self._interpreter = None
@@ -206,7 +215,7 @@ class MdiSession:
             self._lines = _BlockByBlock()
             self._interpreter = self._around.interpreter(self._lines, arm, self._around.settings())
             self._calls = self._interpreter.calls()
-            self._resolver = Resolver()
+            self._resolver = Resolver(self._around.resolve_options())
         return self._interpreter
 
 
@@ -226,10 +235,3 @@ class _BlockByBlock:
     def block(self, index: int) -> tuple[int, list[str]]:
         """The newest block and its message; nothing else is there any more."""
         return (self._first, self._pair) if 0 <= index - self._first < len(self._pair) else (index, [])
-
-
-def _refuse_external(move: Move | ExternalAction) -> None:
-    if isinstance(move, ExternalAction):
-        error = GcodeFlowError(f"M{move.number} has no action here", "Remove it from the program.")
-        error.location = Location(move.source.file, move.source.line, move.source.block)
-        raise error

@@ -451,7 +451,6 @@ class Machine:
             with contextlib.suppress(ValueError):
                 old.detach()
         await stream.prepare()
-        await self._snap(stream)
         if self.override != 1.0:
             session.post(SetOverride(round(self.override * OVERRIDE_ONE)))
         self.stream = stream
@@ -464,15 +463,6 @@ class Machine:
         await self._settle(session)
         if stream is not None and session.status is not None and session.status.state is BoardState.READY:
             await stream.prepare()
-            await self._snap(stream)
-
-    async def _snap(self, stream: MotionStream) -> None:
-        """Put the board's fraction of a step to 0, as the mirror's is: the arm stands on whole steps anyway."""
-        status = self.board_status
-        mask = 0 if status is None else status.trusted_mask & 0b11111
-        steps = {motor: stream.positions_steps[motor] for motor in range(5) if mask >> motor & 1}
-        if steps:
-            await stream.set_positions(steps)
 
     # ---------------------------------------------------------------------------------- what the board tells
 

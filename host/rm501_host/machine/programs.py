@@ -13,20 +13,23 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
 from rm501_host.errors import RefusedError, StoppedError
 from rm501_host.gcode.errors import GcodeLimitError
+from rm501_host.gcode.resolve import ExternalAction
+from rm501_host.gcode.user_m import UserMCodeError
 from rm501_host.machine.gcode_source import STEP_MARK, MdiSession, Surroundings, program_moves
 from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
 from rm501_host.machine.program_files import ProgramFiles
-from rm501_host.motion import Progress
+from rm501_host.motion import PieceRuns, Progress
 from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProbeMove, ProgramEnd, Source
 from rm501_host.planner import Piece, PieceKind, Planner
 from rm501_host.planner.pieces import Action
+from rm501_host.preflight import ProgramCheck
+from rm501_host.program import run_external
 
 _INPUT_POLL_S = 0.01
 _KEPT_PIECES = 200_000
@@ -107,6 +110,7 @@ class Programs:
         return checked
 
     def _check(self, path: Path, line: int, start: tuple[float, ...], speed: float, step: bool) -> Checked:
+        self._refuse_what_the_preflight_finds(path, line, start)
         kept: list[Piece] = []
         duration_s = motion_s = 0.0
         complete, last_line = True, line
@@ -137,6 +141,22 @@ class Programs:
             speed,
             tuple(kept) if complete else (),
         )
+
+    def _refuse_what_the_preflight_finds(self, path: Path, line: int, start: tuple[float, ...]) -> None:
+        machine = self._machine
+        check = ProgramCheck(machine.arm, machine.config, start)
+        moves = program_moves(
+            path,
+            machine.arm,
+            lambda: tuple(check.q_deg.tolist()),
+            self._around,
+            start_line=line,
+            max_blocks=machine.config.preflight.max_blocks,
+            step=False,
+        )
+        report = check.run(moves, estimate=False, limit_error=GcodeLimitError)
+        if not report.ok:
+            raise RefusedError("\n".join(str(finding) for finding in report.errors))
 
     def _pieces(self, path: Path, line: int, start: tuple[float, ...], speed: float, step: bool) -> Iterator[Piece]:
         machine = self._machine
@@ -205,7 +225,7 @@ class Programs:
         """Play up to each mark, act on it at rest, go on; raises StoppedError and its kin."""
         machine = self._machine
         loop = asyncio.get_running_loop()
-        run = _Runs(pieces)
+        run = PieceRuns(pieces)
         while True:
             if machine.stream is None:
                 raise StoppedError("the machine was switched off")
@@ -251,6 +271,11 @@ class Programs:
                 await machine.wait_for_operator(kind.value)
             case InputWait():
                 await self._wait_for_input(move)
+            case ExternalAction() as action:
+                try:
+                    await asyncio.get_running_loop().run_in_executor(None, run_external, machine.config, action)
+                except UserMCodeError as failed:
+                    raise StoppedError(f"{action.source}: {failed}; the arm stands at rest there") from failed
             case None:
                 pass
             case other:
@@ -298,31 +323,3 @@ def _wanted(mode: int, before: bool, now: bool) -> bool:
     if mode == _FALL:
         return before and not now
     return now if mode == _HIGH else not now
-
-
-class _Runs:
-    """Cuts a stream of pieces at its marks; pieces are planned as they are taken."""
-
-    def __init__(self, pieces: Iterator[Piece]) -> None:
-        self._pieces = pieces
-        self._first: Piece | None = None
-        self.mark: Piece | None = None
-
-    def peek(self) -> bool:
-        """Look at the next piece: True when it is motion, False when it is a mark or the end."""
-        self.mark = None
-        piece = next(self._pieces, None)
-        if piece is None or piece.kind is PieceKind.MARK:
-            self.mark = piece
-            return False
-        self._first = piece
-        return True
-
-    def until_mark(self) -> Iterator[Piece]:
-        """The pieces up to the next mark, which is then in `mark`."""
-        first, self._first = self._first, None
-        for piece in chain([] if first is None else [first], self._pieces):
-            if piece.kind is PieceKind.MARK:
-                self.mark = piece
-                return
-            yield piece

@@ -109,6 +109,12 @@ class MotionStream:
             status = await self._session.command(
                 SetPower(True), lambda now: now.power and now.state is BoardState.READY
             )
+        if status.trusted_mask:
+            # the board may stand a fraction of a step beyond its count: setting the count makes both exact
+            trusted = status.trusted_mask
+            await self._session.command(
+                SetPositions(trusted, status.positions_steps), lambda now: now.trusted_mask & trusted == trusted
+            )
         self.positions_q48 = tuple(steps << FRACTION_BITS for steps in status.positions_steps)
         self.end_frame = self._session.motion_frames.value
 
@@ -230,7 +236,12 @@ class MotionStream:
         self.positions_q48 = self._ended.positions_q48
         self.end_frame = self._session.motion_frames.extend(self._ended.motion_frame)
         if until_trigger and self._ended.cause is EndCause.TRIGGER and self._trigger is not None:
-            return self._session.status is not None and self._session.status.state is BoardState.READY
+            state = None if self._session.status is None else self._session.status.state
+            if state in (BoardState.BOOT, BoardState.IDLE):
+                raise StoppedError(
+                    f"stopped{self._where()} while the arm came to rest at a switch; reset the board, then start again"
+                )
+            return state is BoardState.READY
         if self._ended.cause is EndCause.TRIGGER:
             return False
         raise StoppedError(

@@ -1,9 +1,9 @@
 """From a URL to an open transport.
 
-    /dev/...  COM3           a serial port or a pty; ?baud=250000 (the default) sets the speed
-    socket://host:port       TCP
-    can:INTERFACE:CHANNEL    python-can: can:slcan:/dev/ttyACM0, can:socketcan:can0, can:virtual:name
-    emu://...                the emulated board, found through the entry points `rm501.transports`
+/dev/...  COM3           a serial port or a pty; ?baud=250000 (the default) sets the speed
+socket://host:port       TCP
+can:INTERFACE:CHANNEL    python-can: can:slcan:/dev/ttyACM0, can:socketcan:can0, can:virtual:name
+emu://...                the emulated board, found through the entry points `rm501.transports`
 """
 
 from __future__ import annotations
