@@ -11,9 +11,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
-def dh_chain(
-    q_deg: Array, d1: float, a2: float, a3: float, d5: float, tool: Array | None = None
-) -> list[Array]:
+def dh_chain(q_deg: Array, d1: float, a2: float, a3: float, d5: float, tool: Array | None = None) -> list[Array]:
     """Frames 0..5 and the tool for joints (n, 5) deg: seven arrays (n, 4, 4), mm."""
     q = np.radians(np.atleast_2d(q_deg))
     table = ((d1, 0.0, 1), (0.0, a2, 0), (0.0, a3, 0), (0.0, 0.0, 1), (d5, 0.0, 0))
