@@ -171,15 +171,36 @@ class FastBoard(Board):
         stepgen = core.stepgen
         layout = core.layout
         slots = [np.full(plays + 1, word, dtype=np.uint32) for word in layout.slot_words]
-        for motor in layout.moved:
-            if not self._idle_motor(motor):
-                step, direction = self._play_motor(motor, plays)
-                slot = slots[layout.motor_slot[motor]]
-                before_step = stepgen.step_mask[motor] if step[0] else 0
-                before_dir = stepgen.dir_mask[motor] if direction[0] else 0
-                slot ^= np.uint32(before_step ^ before_dir)
-                slot ^= step * np.uint32(stepgen.step_mask[motor])
-                slot ^= direction * np.uint32(stepgen.dir_mask[motor])
+        motors = [motor for motor in layout.moved if not self._idle_motor(motor)]
+        if not motors:
+            return slots
+        # step counts due before the first motion frame and after each, relative to those made: one row per motor
+        rows = np.array(
+            [
+                (
+                    stepgen.position[motor] + HALF_STEP - (stepgen.count[motor] << FRACTION_BITS),
+                    stepgen.velocity[motor],
+                    stepgen.acceleration[motor],
+                    stepgen.jerk[motor],
+                )
+                for motor in motors
+            ],
+            dtype=np.int64,
+        )
+        due = rows[:, 1:2] * _FRAMES[: plays + 1]
+        due += rows[:, :1]
+        due += rows[:, 2:3] * _TRIANGLES[: plays + 1]
+        due += rows[:, 3:] * _PYRAMIDS[: plays + 1]
+        due >>= FRACTION_BITS
+        rises = due[:, 1:] != due[:, :-1]
+        for row, motor in enumerate(motors):
+            slot = slots[layout.motor_slot[motor]]
+            before_step = stepgen.step_mask[motor] if stepgen.high_frames[motor] else 0
+            before_dir = stepgen.dir_mask[motor] if stepgen.dir_level[motor] else 0
+            slot ^= np.uint32(before_step ^ before_dir)
+            step, direction = self._play_motor(motor, plays, due[row], rises[row])
+            slot ^= step * np.uint32(stepgen.step_mask[motor])
+            slot ^= direction * np.uint32(stepgen.dir_mask[motor])
         return slots
 
     def _idle_motor(self, motor: int) -> bool:
@@ -195,58 +216,60 @@ class FastBoard(Board):
             or (stepgen.position[motor] + HALF_STEP) >> FRACTION_BITS != stepgen.count[motor]
         )
 
-    def _play_motor(self, motor: int, plays: int) -> tuple[Levels, Levels]:
+    def _play_motor(
+        self, motor: int, plays: int, due: NDArray[np.int64], rises: Levels
+    ) -> tuple[Levels, Levels | np.bool_]:
         """STEP and DIR of one motor before the first motion frame and after each; its state moves on."""
         stepgen = self._core.stepgen
         v, a, j = stepgen.velocity[motor], stepgen.acceleration[motor], stepgen.jerk[motor]
-        start = stepgen.position[motor]
-        lag = start + HALF_STEP - (stepgen.count[motor] << FRACTION_BITS)
-        due = (
-            np.int64(lag)
-            + _FRAMES[: plays + 1] * np.int64(v)
-            + _TRIANGLES[: plays + 1] * np.int64(a)
-            + _PYRAMIDS[: plays + 1] * np.int64(j)
-        ) >> FRACTION_BITS
-        direction = np.full(plays + 1, bool(stepgen.dir_level[motor]))
-        step = self._steady_motor(motor, plays, v, a, j, due)
+        direction: Levels | np.bool_ = np.bool_(stepgen.dir_level[motor])
+        step = self._steady_motor(motor, plays, v, a, j, due, rises)
         if step is None:
-            step = self._turning_motor(motor, plays, v, a, j, due, direction)
-        stepgen.position[motor] = start + plays * v + triangle(plays) * a + pyramid(plays) * j
-        stepgen.velocity[motor] = speed_at(v, a, j, plays)
+            levels = np.full(plays + 1, direction)
+            step = self._turning_motor(motor, plays, v, a, j, due, levels)
+            direction = levels
+        triangles = triangle(plays)
+        stepgen.position[motor] += plays * v + triangles * a + pyramid(plays) * j
+        stepgen.velocity[motor] = v + plays * a + triangles * j
         stepgen.acceleration[motor] = a + plays * j
         return step, direction
 
-    def _steady_motor(self, motor: int, plays: int, v: int, a: int, j: int, due: NDArray[np.int64]) -> Levels | None:
+    def _steady_motor(
+        self, motor: int, plays: int, v: int, a: int, j: int, due: NDArray[np.int64], rises: Levels
+    ) -> Levels | None:
         """STEP of a motor that keeps its direction and is never late; None when it does not, and then nothing has
-        changed.
+        changed. `rises` (plays): where `due` changes.
         """
         stepgen = self._core.stepgen
         negative = stepgen.dir_level[motor]
-        for frame in (1, turning_frame(a, j, plays), plays):
+        for frame in (1, plays) if (a < 0) == (a + plays * j < 0) else (1, turning_frame(a, j, plays), plays):
             speed = speed_at(v, a, j, frame)
             if speed and (speed < 0) != negative:
                 return None
-        if due[0] != 0:
+        if due.item(0) != 0:
             return None
-        rises = np.flatnonzero(due[1:] != due[:-1]) + 1
+        made = due.item(plays)
+        elapsed = plays
         # v(0), which brought p to frame 1, may have had the other sign; the distance between later rises needs no
         # check, because the rate limit lets p move by no more than one step in step length + step space
-        if len(rises) and ((int(due[rises[0]]) < 0) != negative or rises[0] < stepgen.rise_wait[motor]):
-            return None
+        if made or due.item(1):
+            first = int(rises.argmax()) + 1
+            if (due.item(first) < 0) != negative or first < stepgen.rise_wait[motor]:
+                return None
+            elapsed = int(rises[::-1].argmax())
         step = np.zeros(plays + 1, dtype=np.bool_)
+        step[1:] = rises
+        for offset in range(1, stepgen.step_length_frames):
+            step[1 + offset :] |= rises[:-offset]
         step[: stepgen.high_frames[motor]] = True
-        for offset in range(stepgen.step_length_frames):
-            later = rises + offset
-            step[later[later <= plays]] = True
-        elapsed = plays
-        if len(rises):
-            elapsed = plays - int(rises[-1])
+        if elapsed < plays:
             stepgen.high_frames[motor] = stepgen.step_length_frames
             stepgen.rise_wait[motor] = stepgen.rise_wait_frames
             stepgen.dir_wait[motor] = stepgen.dir_wait_frames
-            stepgen.count[motor] += -len(rises) if negative else len(rises)
+            stepgen.count[motor] += made
         for counter in (stepgen.high_frames, stepgen.rise_wait, stepgen.dir_wait):
-            counter[motor] = max(0, counter[motor] - elapsed)
+            if counter[motor]:
+                counter[motor] = max(0, counter[motor] - elapsed)
         return step
 
     def _turning_motor(
