@@ -75,7 +75,7 @@ class OrientedCurve:
         return values, slopes, bends
 
     def _continuous(self, s: Array) -> tuple[Array, Array]:
-        pitch, roll, _ = self._angles(s)
+        pitch, roll = self._read(s)[2:]
         near_pitch = np.interp(s, self._knots, self._pitch_knots)
         near_roll = np.interp(s, self._knots, self._roll_knots)
         return (
@@ -83,12 +83,17 @@ class OrientedCurve:
             roll - 360.0 * np.rint((roll - near_roll) / 360.0),
         )
 
-    def _angles(self, s: Array) -> tuple[Array, Array, Array]:
+    def _read(self, s: Array) -> tuple[Array, Array, Array, Array]:
+        """The orientation wanted, and the waist, pitch and roll that come nearest to it."""
         xyz = self._places.evaluate(s)[0][:, :3]
         wanted = self._first @ _rotations(self._vector, s / self._places.length)
         waist, pitch, roll = read_orientation_rows(
             self._arm.geometry, xyz, wanted, self._branch.is_front, self._waist_deg
         )
+        return wanted, waist, pitch, roll
+
+    def _angles(self, s: Array) -> tuple[Array, Array, Array]:
+        wanted, waist, pitch, roll = self._read(s)
         got = self._arm.fk_batch(np.stack((waist, np.zeros_like(waist), np.zeros_like(waist), pitch, roll), axis=1))[1]
         cosine = 0.5 * (np.einsum("nij,nij->n", wanted, got) - 1.0)
         return pitch, roll, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
