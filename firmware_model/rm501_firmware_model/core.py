@@ -147,6 +147,14 @@ class Core:
         self.line_word = 0  # u32
         self.words = [0] * layout.periods  # u32 each
 
+    def number_from(self, real_frame: int, motion_frame: int) -> None:
+        """Number the real and the motion frames to come from here on, before the first of them is made."""
+        self.real_frame = real_frame
+        self.heard_frame = real_frame
+        self.status_due = real_frame
+        self.motion.motion_frame = motion_frame
+        self.checker.rebuild(motion_frame, 0)
+
     # ------------------------------------------------------------------------------------------------------ one frame
 
     def frame(self, pins: int) -> None:

@@ -26,6 +26,8 @@ Apply = Callable[[PacedBoard, Mapping[str, Value]], Undo | None]
 
 _JOINTS = tuple(j.name.lower() for j in Joint)
 _MOTORS = tuple(m.name.lower().replace("_", "-") for m in Motor)
+_U32_MAX = 0xFFFFFFFF
+_REBOOT_MS = 20.0
 _TERMINALS = tuple(t.value.lower() for t in Terminal)
 
 
@@ -167,6 +169,21 @@ def _clock(board: PacedBoard, values: Mapping[str, Value]) -> Undo:
     board.run_to_now()
     board.set_clock(_number(values["ppm"]), _number(values["jump_ms"]) * 1e-3)
     return lambda: board.set_clock()
+
+
+def _clock_wrap(board: PacedBoard, values: Mapping[str, Value]) -> None:
+    frames = _number(values["frames"])
+    motion_frames = _number(values["motion_frames"])
+    if motion_frames < 0:
+        motion_frames = frames
+    for name, given in (("frames", frames), ("motion_frames", motion_frames)):
+        if not 1 <= given <= _U32_MAX or given != int(given):
+            raise FaultSpecError(f"fault clock-wrap: {name}={given:g} is not a whole number from 1 to 2^32 - 1")
+    board.run_to_now()
+    dark_frames = max(1, round(_REBOOT_MS * 1000 / board.emulator.clock.frame_us))
+    board.emulator.boot_with_counters(
+        _U32_MAX + 1 - int(frames), _U32_MAX + 1 - int(motion_frames), dark_frames=dark_frames
+    )
 
 
 def _identity(board: PacedBoard, values: Mapping[str, Value]) -> Undo:
@@ -350,7 +367,7 @@ FAULT_KINDS: tuple[FaultKind, ...] = (
         "reset",
         (6, 24),
         "the microcontroller browns out and boots again",
-        (Parameter("dark_ms", 20.0, "how long it is dark"),),
+        (Parameter("dark_ms", _REBOOT_MS, "how long it is dark"),),
         _reset,
     ),
     FaultKind(
@@ -444,6 +461,17 @@ FAULT_KINDS: tuple[FaultKind, ...] = (
         "the boards miss strobe edges",
         (Parameter("p", 0.001, "probability per edge"),),
         _strobe_missed,
+    ),
+    FaultKind(
+        "clock-wrap",
+        (26,),
+        "the board boots with its counters of real frames, clock ticks and motion frames shortly before their wrap at "
+        "2^32, as if it had run for 15 days; later than power-up it is reset for that",
+        (
+            Parameter("frames", 20_000.0, "real frames until real frame and clock wrap"),
+            Parameter("motion_frames", -1.0, "motion frames until the motion frame wraps; negative: as frames"),
+        ),
+        _clock_wrap,
     ),
     FaultKind(
         "identity",
