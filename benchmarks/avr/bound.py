@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 
 __all__ = ["longest_path"]
@@ -116,17 +117,18 @@ def _read(disassembly: str) -> tuple[dict[int, Instruction], dict[str, int]]:
     return code, names
 
 
-def longest_path(disassembly: str, function: str) -> int:
+def longest_path(disassembly: str, function: str, not_called: Collection[str] = ()) -> int:
     """Cycles of the longest path from a function's first instruction to its return, both included.
 
-    `disassembly` is what `avr-objdump -d` prints. Every way through the code counts, whether the program can take it or
+    `disassembly` is what `avr-objdump -d` prints; functions in `not_called` count as if they
+    returned at once. Every way through the code counts, whether the program can take it or
     not, so the result is an upper bound. ValueError for a loop, an indirect jump or an instruction that is not known:
     there is no bound then.
     """
     code, names = _read(disassembly)
     if function not in names:
         raise ValueError(f"{function} is not in the disassembly")
-    known: dict[int, int] = {}
+    known = {names[name]: CYCLES["ret"] for name in not_called}
     open_paths: set[int] = set()
 
     def longest(address: int) -> int:
