@@ -42,6 +42,8 @@ the switch.
 """
 _WRIST_JOINTS = (3, 4)
 _SAME_STEP = 1e-6
+_SAME_DEG = 1e-6
+"""Latches are whole steps: a spread of exactly the allowed number of steps is allowed, whatever rounding says."""
 
 
 class HomingError(StoppedError):
@@ -116,7 +118,7 @@ class Homing:
             raise self._error(index, "the switch did not close a second time", "open")
         second_deg = await self._latch(index, away, latch)
         spread_deg = abs(first_deg - second_deg)
-        if spread_deg > home.latch_spread_deg:
+        if spread_deg > home.latch_spread_deg + _SAME_DEG:
             raise self._error(
                 index,
                 f"two latches differ by {spread_deg:.3f} deg, allowed are {home.latch_spread_deg:.3f}",
