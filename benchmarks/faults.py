@@ -19,6 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks import fault_scenarios as scenarios
+from benchmarks.fault_scenarios import Scenario
 from rm501_host.config import load_config
 from rm501_host.config.board import board_config_from
 from rm501_host.errors import Rm501Error
@@ -43,6 +45,9 @@ M101
 G1 X320 Y0 Z-30
 M2
 """
+# More segments than the queue has slots, in less time than they take: a host that believes in more slots uses them.
+_THERE_AND_BACK = "".join(f"G1 X290 Y{y} Z-30 F1000\n" for y in (10, 0, -10, 0))
+LONG_TEXT = f"G21 G90 G94 G40 G49\nG61\nG0 X290 Y0 Z-30 A0 B0 C0\n{6 * _THERE_AND_BACK}M2\n"
 # The program runs from 26.5 s to 36.5 s after power-up; at 28 s all arm joints move.
 AFTERWARDS_S = 8.0
 
@@ -63,6 +68,9 @@ class Outcome:
     fault_frame: int | None
     last_step_frame: int
     hand_pulses: int
+    refused: int
+    real_frame: int
+    motion_frame: int
 
 
 Check = Callable[[Outcome, Outcome], str]
@@ -77,6 +85,18 @@ class Case:
     demand: str
     check: Check
     in_short: bool = False
+    program: str = PROGRAM_TEXT
+
+
+@dataclass(frozen=True, slots=True)
+class Acted:
+    """A row that takes a host doing something particular; `scenario` returns a complaint."""
+
+    row: int
+    name: str
+    demand: str
+    scenario: Scenario
+    in_short: bool = False
 
 
 class _Silent:
@@ -90,16 +110,18 @@ class _Silent:
         """Nobody watches."""
 
 
-async def _ask_board(options: RunOptions) -> tuple[BoardState, int]:
-    """State and trust as the board tells them to a new session; the mask is -1 when it refuses to talk."""
+async def _ask_board(options: RunOptions) -> tuple[BoardState, int, int, int]:
+    """State, trust, refusals and motion frame as the board tells them to a new session; the mask is -1 when it refuses
+    to talk.
+    """
     try:
         config = board_config_from(load_config(CONFIG))
         session = await open_session(open_transport("emu://bench"), config, options.nonce)
     except (Rm501Error, OSError):
-        return running_board("bench").emulator.board.state, -1
+        return running_board("bench").emulator.board.state, -1, 0, 0
     status = await session.refresh_status()
     await session.aclose()
-    return status.state, status.trusted_mask
+    return status.state, status.trusted_mask, status.refused, status.motion_frame
 
 
 async def _outcome(fault: str, seed: int, program: Path) -> Outcome:
@@ -125,7 +147,7 @@ async def _outcome(fault: str, seed: int, program: Path) -> Outcome:
     struck = [event.frame for event in running.faults.log if event.began]
     frames = [recording.step_frames(motor)[0] for motor in range(5)]
     board = emulator.board
-    state, trusted_mask = await _ask_board(options)
+    state, trusted_mask, refused, motion_frame = await _ask_board(options)
     outcome = Outcome(
         result=result,
         text=text,
@@ -139,16 +161,19 @@ async def _outcome(fault: str, seed: int, program: Path) -> Outcome:
         fault_frame=struck[0] if struck else None,
         last_step_frame=max((int(f[-1]) for f in frames if len(f)), default=0),
         hand_pulses=emulator.bench.hand.pulses_open + emulator.bench.hand.pulses_closed,
+        refused=refused,
+        real_frame=emulator.board.frame,
+        motion_frame=motion_frame,
     )
     shut_down("bench")
     return outcome
 
 
-def run_case(fault: str, seed: int = 1) -> Outcome:
-    """Home and run the program with a fault (empty: none), on virtual time."""
+def run_case(fault: str, seed: int = 1, text: str = PROGRAM_TEXT) -> Outcome:
+    """Home and run a program with a fault (empty: none), on virtual time."""
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder) / "short.ngc"
-        program.write_text(PROGRAM_TEXT)
+        program.write_text(text)
         return run_virtual(_outcome(fault, seed, program))
 
 
@@ -221,6 +246,20 @@ def _honest_about_lost_steps(outcome: Outcome, clean: Outcome) -> str:
     return _same(outcome, clean) or ("" if abs(gap - 1.0) < 1e-6 else f"the waist is {gap} deg off, not 1")
 
 
+def _wrapped(outcome: Outcome, clean: Outcome) -> str:
+    """Real and motion frames wrapped during the run, and the steps are the same."""
+    if outcome.real_frame < 1 << 32 or not 0 < outcome.motion_frame < 1 << 31:
+        return f"nothing wrapped: real frame {outcome.real_frame}, motion frame {outcome.motion_frame}"
+    return _same(outcome, clean)
+
+
+def _told_of_the_full_queue(outcome: Outcome, clean: Outcome) -> str:
+    """The host says what was refused; the arm holds on its path, its position still trusted."""
+    if outcome.trusted_mask != _ALL or not outcome.refused:
+        return f"trusted {outcome.trusted_mask:05b}, {outcome.refused} refused"
+    return _stopped("no free slot", state=BoardState.HELD)(outcome, clean)
+
+
 def _bounded_hand(outcome: Outcome, clean: Outcome) -> str:
     """The pulses are those of the strokes, no more, whatever the fingers do."""
     if outcome.hand_pulses != clean.hand_pulses:
@@ -267,12 +306,20 @@ CASES: tuple[Case, ...] = (
         _stopped("overflow", untrusted=_ELBOW_WAIST, state=_FAULT),
     ),
     Case(16, "hand-jam@27s", "pulses bounded", _bounded_hand),
-    Case(17, "queue-lie:slots=32", "refused, then slower, same steps", _same),
+    Case(
+        17,
+        "queue-lie:slots=255",
+        "refused by name, held, trusted",
+        _told_of_the_full_queue,
+        program=LONG_TEXT,
+    ),
     Case(18, "garbage:bytes=5000@28s", "counted, same steps", _noticed),
     Case(19, "endless-frame:bytes=65536@28s", "dropped at the maximum, same steps", _noticed),
     Case(24, "arm-power@28s", "the counters overflow: fault", _stopped("overflow", state=_FAULT)),
     Case(25, "swap:line=elbow_select,with=waist_select", "shows at homing", _stopped(untrusted=_ALL)),
     Case(25, "line-stuck:line=strobe_724,level=0", "shows at homing", _stopped("waist", untrusted=_ALL)),
+    Case(26, "clock-wrap:frames=20000", "wraps while homing, same steps", _wrapped, True),
+    Case(26, "clock-wrap:frames=90000,motion_frames=82000", "wraps in the program, same steps", _wrapped),
     Case(27, "identity:major=2", "motion refused, both versions named", _stopped("protocol 2"), True),
     Case(28, "press@5s", "emergency stop while homing", _at_once(3, "emergency", untrusted=_ALL, state=_FAULT)),
     Case(
@@ -283,13 +330,21 @@ CASES: tuple[Case, ...] = (
     ),
     Case(28, "press@28s", "emergency stop in motion", _at_once(3, "emergency", untrusted=_ALL, state=_FAULT), True),
 )
+ACTED: tuple[Acted, ...] = (
+    Acted(14, "verify", "verify finds the joint and the steps", scenarios.lost_steps_verified),
+    Acted(17, "host floods the queue", "refused with full state, plays on, same steps", scenarios.flooded_queue, True),
+    Acted(28, "stop, homing", "ramps down, nothing sent before runs", scenarios.stop_while_homing),
+    Acted(28, "stop, jogging", "ramps down, nothing sent before runs", scenarios.stop_while_jogging),
+    Acted(28, "stop, held", "nothing sent before runs", scenarios.stop_while_held),
+    Acted(28, "stop, handshake", "ramps down, nothing sent before runs", scenarios.stop_while_shaking_hands),
+    Acted(28, "stop, sending again", "ramps down, nothing sent before runs", scenarios.stop_while_retransmitting, True),
+)
 ELSEWHERE = {
     5: "frames overtaking: tests/sim_board/test_ports.py (virtual CAN), tests/protocol",
     20: "host: clients without a token",
     21: "host: two clients, one lease",
     22: "host: disks",
     23: "host: configuration",
-    26: "wrap of the clocks: tests/protocol, tests/firmware_model",
 }
 
 
@@ -302,25 +357,32 @@ def main() -> int:
     arguments = parser.parse_args()
     rows = {int(row) for row in arguments.rows.split(",")} if arguments.rows else None
     chosen = [c for c in CASES if (rows is None or c.row in rows) and (c.in_short or not arguments.short)]
+    acted = [a for a in ACTED if (rows is None or a.row in rows) and (a.in_short or not arguments.short)]
     failed, runs, began_s = 0, 0, time.perf_counter()
-    clean = {seed: run_case("", seed) for seed in range(1, 1 + max(1, int(arguments.n)))}
-    print(f"{'row':>3}  {'fault':44}{'demanded':46}end")
-    for case in chosen:
+    seeds = range(1, 1 + max(1, int(arguments.n)))
+    programs = {case.program for case in chosen}
+    clean = {(seed, text): run_case("", seed, text) for seed in seeds for text in programs}
+    print(f"{'row':>3}  {'fault':47}{'demanded':46}end")
+    for one in sorted([*chosen, *acted], key=lambda one: one.row):
         complaints = []
-        for seed, undisturbed in clean.items():
+        for seed in seeds:
             runs += 1
-            complaint = case.check(run_case(case.fault, seed), undisturbed)
+            if isinstance(one, Case):
+                outcome = run_case(one.fault, seed, one.program)
+                name, complaint = one.fault, one.check(outcome, clean[seed, one.program])
+            else:
+                name, complaint = one.name, run_virtual(one.scenario(seed))
             if complaint:
                 complaints.append(f"seed {seed}: {complaint}")
         failed += bool(complaints)
-        print(f"{case.row:3}  {case.fault:44}{case.demand:46}{'as demanded' if not complaints else 'FAILED'}")
+        print(f"{one.row:3}  {name:47}{one.demand:46}{'as demanded' if not complaints else 'FAILED'}", flush=True)
         for complaint in complaints:
             print(f"{'':5}{complaint}")
     if rows is None and not arguments.short:
         for row, where in ELSEWHERE.items():
             print(f"{row:3}  {where}")
     verdict = "all as demanded" if not failed else f"{failed} CASES FAILED"
-    print(f"faults: {len(chosen)} cases, {runs} runs, {time.perf_counter() - began_s:.0f} s, {verdict}")
+    print(f"faults: {len(chosen) + len(acted)} cases, {runs} runs, {time.perf_counter() - began_s:.0f} s, {verdict}")
     return 1 if failed else 0
 
 

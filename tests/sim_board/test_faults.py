@@ -6,6 +6,8 @@ import asyncio
 
 import pytest
 
+from benchmarks.fault_scenarios import flooded_queue, stop_while_held
+from benchmarks.faults import LONG_TEXT, run_case
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.enums import BoardState
 from rm501_sim_board.emu_transport import EmuTransport, open_transport
@@ -16,7 +18,7 @@ from rm501_sim_board.fault_spec import AtAngle, AtRandom, AtTime, parse_fault
 from rm501_sim_board.geometry import Joint
 from tests.support.board_client import BoardClient
 
-BENCH_ROWS = set(range(1, 20)) | {24, 25, 27, 28}
+BENCH_ROWS = set(range(1, 20)) | {24, 25, 26, 27, 28}
 
 EXAMPLES = {
     "switch-stuck-active": "switch-stuck-active:joint=roll",
@@ -124,3 +126,51 @@ def test_a_fault_strikes_when_a_joint_passes_an_angle() -> None:
         await transport.aclose()
 
     run_virtual(main())
+
+
+@pytest.mark.parametrize("firmware", ["fast", "reference"])
+def test_all_counters_wrap_in_the_middle_of_a_move(firmware) -> None:
+    async def main() -> None:
+        url = f"emu://?firmware={firmware}&fault=clock-wrap:frames=2000,motion_frames=1500"
+        transport = await open_transport(url)
+        client = BoardClient(transport)
+        await client.open()
+        before = await client.status()
+        assert before.real_frame > 0xFFFFF000
+        assert before.motion_frame == (1 << 32) - 1500
+        await client.power_on()
+        client.next_frame = before.motion_frame
+        client.jump(0, 800, 2.0)
+        client.start()
+        await asyncio.sleep(2.5)
+        after = await client.status()
+        assert after.real_frame < 10_000
+        assert after.motion_frame == 6250 - 1500
+        assert after.clock_ticks == after.real_frame * 320
+        assert after.positions_steps[0] == transport.truth().commanded_steps[0] == 800
+        await transport.aclose()
+
+    run_virtual(main())
+
+
+@pytest.mark.parametrize("given", ["frames=0", "frames=1.5", "frames=4294967296", "motion_frames=0"])
+def test_a_wrap_that_is_no_number_of_frames_is_refused(given) -> None:
+    async def main() -> None:
+        with pytest.raises(FaultSpecError, match="clock-wrap"):
+            await open_transport(f"emu://?fault=clock-wrap:{given}")
+
+    run_virtual(main())
+
+
+def test_what_finds_no_slot_is_refused_and_the_rest_plays_on() -> None:
+    assert run_virtual(flooded_queue(1)) == ""
+
+
+def test_nothing_that_was_held_runs_after_a_stop() -> None:
+    assert run_virtual(stop_while_held(1)) == ""
+
+
+def test_the_host_names_the_full_queue_when_a_board_promised_too_many_slots() -> None:
+    outcome = run_case("queue-lie:slots=255", 1, LONG_TEXT)
+    assert "no free slot" in outcome.text
+    assert (outcome.late_steps, outcome.trusted_mask) == (0, 0b11111)

@@ -215,9 +215,12 @@ class MotionStream:
                 await asyncio.sleep(_POLL_S)
 
     def _room(self) -> int:
-        """Segments that the board will have room for once what the link holds has arrived."""
+        """Segments that the board will have room for once what the link holds has arrived; never more than its queue
+        has slots, whatever it says.
+        """
         link = self._session.link
-        return link.segment_credit - link.pending
+        slots = link.identify.queue_depth if link.identify is not None else 0
+        return min(link.segment_credit, slots) - link.pending
 
     def _take(self, planned: PlannedSegment) -> None:
         segment = planned.segment
