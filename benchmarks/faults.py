@@ -363,7 +363,8 @@ def main() -> int:
     programs = {case.program for case in chosen}
     clean = {(seed, text): run_case("", seed, text) for seed in seeds for text in programs}
     print(f"{'row':>3}  {'fault':47}{'demanded':46}end")
-    for one in sorted([*chosen, *acted], key=lambda one: one.row):
+    everything: list[Case | Acted] = [*chosen, *acted]
+    for one in sorted(everything, key=lambda one: one.row):
         complaints = []
         for seed in seeds:
             runs += 1
