@@ -62,6 +62,9 @@ def test_manipulability_of_the_map_is_the_best_over_the_pitches(arm: Arm) -> Non
         workspace_map(arm, r[:1], z, pitch)
 
 
+RADII = {"upper_arm_radius_mm": 60.0, "forearm_radius_mm": 50.0, "hand_radius_mm": 35.0}
+
+
 def test_reachable_pitches_of_a_point() -> None:
     pitches = reachable_pitches(ARM, (300.0, 50.0, 200.0))
     for angle in np.arange(-180.0, 180.0):
@@ -107,7 +110,9 @@ def test_distance_of_segment_and_box_against_brute_force() -> None:
 
 def test_clearances_name_what_is_near() -> None:
     keep_out = KeepOutSection(
-        table_z_mm=0.0, boxes=(BoxSection(name="post", min_mm=(300.0, 90.0, 0.0), max_mm=(340.0, 130.0, 400.0)),)
+        **RADII,
+        table_z_mm=0.0,
+        boxes=(BoxSection(name="post", min_mm=(300.0, 90.0, 0.0), max_mm=(340.0, 130.0, 400.0)),),
     )
     path = np.array([ARM.ik((320.0, y, 100.0), 0.0, 0.0).best.q_deg for y in (-100.0, 0.0, 60.0, 110.0)])  # type: ignore[union-attr]
     found = clearances(capsules(ARM.geometry, path, SolidRadii(hand_mm=20.0)), keep_out)
@@ -123,6 +128,6 @@ def test_clearances_name_what_is_near() -> None:
     table = found.mm[:, found.pairs.index(("hand", "table"))]
     np.testing.assert_allclose(table, 100.0)  # the fingertips are at z = 100, the hand's cap touches them
     with pytest.raises(KinematicsError, match="no keep-out zone"):
-        clearances(capsules(ARM.geometry, path), KeepOutSection()).worst()
+        clearances(capsules(ARM.geometry, path), KeepOutSection(**RADII)).worst()
     with pytest.raises(KinematicsError, match="forearm"):
         SolidRadii(forearm_mm=0.0)

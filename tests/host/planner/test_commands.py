@@ -32,7 +32,8 @@ def test_plan_prints_json_and_writes_samples(tmp_path: Path) -> None:
     )
     summary = json.loads(result.stdout)
     assert result.exit_code == 0
-    data = np.load(out)
+    with np.load(out) as archive:
+        data = dict(archive)
     n = len(data["t_s"])
     assert [data[name].shape for name in ("q_deg", "tcp_mm", "motor_steps", "line")] == [(n, 5), (n, 3), (n, 6), (n,)]
     np.testing.assert_allclose(np.diff(data["t_s"])[:-1], 1e-3, atol=1e-12)
