@@ -12,45 +12,27 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from rm501_host.errors import RefusedError, StoppedError
-from rm501_host.gcode.errors import GcodeLimitError
 from rm501_host.gcode.resolve import ExternalAction
 from rm501_host.gcode.user_m import UserMCodeError
-from rm501_host.machine.gcode_source import STEP_MARK, MdiSession, Surroundings, program_moves
+from rm501_host.machine.gcode_source import STEP_MARK, MdiSession, Surroundings
 from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
+from rm501_host.machine.program_check import Checked, check_and_plan_program, program_pieces
 from rm501_host.machine.program_files import ProgramFiles
 from rm501_host.motion import PieceRuns, Progress
-from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProbeMove, ProgramEnd, Source
-from rm501_host.planner import Piece, PieceKind, Planner
+from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProgramEnd, Source
+from rm501_host.planner import Piece, Planner
 from rm501_host.planner.pieces import Action
-from rm501_host.preflight import ProgramCheck
 from rm501_host.program import run_external
 
 _INPUT_POLL_S = 0.01
-_KEPT_PIECES = 200_000
 _SHOWN_BYTES = 5_000_000
 _IMMEDIATE, _RISE, _FALL, _HIGH = range(4)
 """M66 L0 to L3; L4 is low."""
-
-
-@dataclass(frozen=True, slots=True)
-class Checked:
-    """What the preflight of a program found: how long it takes, how far it was checked."""
-
-    name: str
-    line: int
-    duration_s: float
-    motion_s: float
-    complete: bool
-    checked_to_line: int
-    start_deg: tuple[float, ...]
-    speed: float
-    pieces: tuple[Piece, ...]
 
 
 class Programs:
@@ -101,76 +83,15 @@ class Programs:
         start = self._machine.planning_start_deg
         step = self.single_block
         loop = asyncio.get_running_loop()
-        checked = await loop.run_in_executor(None, lambda: self._check(path, line, start, speed, step))
+        checked = await loop.run_in_executor(
+            None, lambda: check_and_plan_program(self._machine, self._around, path, line, start, speed, step)
+        )
         self.checked = checked
         self.name, self.line, self.block, self.progress = name, 0, "", 0.0
         self._total_s = checked.duration_s
         self._lines = _lines_of(path)
         self._machine.write_log("program_loaded", name=name, line=line, duration_s=round(checked.duration_s, 3))
         return checked
-
-    def _check(self, path: Path, line: int, start: tuple[float, ...], speed: float, step: bool) -> Checked:
-        self._refuse_what_the_preflight_finds(path, line, start)
-        kept: list[Piece] = []
-        duration_s = motion_s = 0.0
-        complete, last_line = True, line
-        try:
-            for piece in self._pieces(path, line, start, speed, step):
-                if piece.kind is PieceKind.MARK and isinstance(piece.move, InputWait):
-                    complete = False
-                    break
-                if isinstance(piece.move, ProbeMove):
-                    raise RefusedError(f"{piece.source}: there is no probe on this machine; remove G38")
-                duration_s += piece.duration_s
-                motion_s += piece.motion_s
-                last_line = max(last_line, piece.source.line)
-                kept.append(piece)
-                if len(kept) > _KEPT_PIECES:
-                    complete = False
-                    break
-        except GcodeLimitError:
-            complete = False
-        return Checked(
-            path.name,
-            line,
-            duration_s,
-            motion_s,
-            complete,
-            last_line,
-            start,
-            speed,
-            tuple(kept) if complete else (),
-        )
-
-    def _refuse_what_the_preflight_finds(self, path: Path, line: int, start: tuple[float, ...]) -> None:
-        machine = self._machine
-        check = ProgramCheck(machine.arm, machine.config, start)
-        moves = program_moves(
-            path,
-            machine.arm,
-            lambda: tuple(check.q_deg.tolist()),
-            self._around,
-            start_line=line,
-            max_blocks=machine.config.preflight.max_blocks,
-            step=False,
-        )
-        report = check.run(moves, estimate=False, limit_error=GcodeLimitError)
-        if not report.ok:
-            raise RefusedError("\n".join(str(finding) for finding in report.errors))
-
-    def _pieces(self, path: Path, line: int, start: tuple[float, ...], speed: float, step: bool) -> Iterator[Piece]:
-        machine = self._machine
-        planner = Planner(machine.arm, machine.config, start, speed_scale=speed)
-        moves = program_moves(
-            path,
-            machine.arm,
-            lambda: tuple(planner.q_deg.tolist()),
-            self._around,
-            start_line=line,
-            max_blocks=machine.config.preflight.max_blocks,
-            step=step,
-        )
-        return planner.plan(moves)
 
     # ------------------------------------------------------------------------------------------------- run
 
@@ -186,7 +107,9 @@ class Programs:
             pieces: Iterator[Piece] = (
                 iter(checked.pieces)
                 if checked.complete
-                else self._pieces(self.files.path(name), line, checked.start_deg, speed, step)
+                else program_pieces(
+                    self._machine, self._around, self.files.path(name), line, checked.start_deg, speed, step
+                )
             )
             self._done_frames = 0
             self.forget_modes()
