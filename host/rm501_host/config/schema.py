@@ -184,7 +184,12 @@ class LinkSection(_Section, frozen=True):
 
 
 class PlannerSection(_Section, frozen=True):
-    """`[planner]`: what the time law may use."""
+    """`[planner]`: what the time law may use.
+
+    `blend`: how G64 rounds corners between Cartesian moves: by circles, or by parabolas (which bend more in the middle
+    and less at their ends). With `jerk_limited` blends are quintics, whatever it says. `backlash_acceleration_share`: of
+    a joint's acceleration, for taking up its play where `backlash_deg` is not 0.
+    """
 
     tolerance_steps: Positive
     hold_acceleration_ratio: Annotated[float, Meta(gt=1)]
@@ -192,6 +197,8 @@ class PlannerSection(_Section, frozen=True):
     stall_budget_s: NonNegative
     jerk_limited: bool
     linear_rapids: bool
+    backlash_acceleration_share: Annotated[float, Meta(gt=0, le=0.5)] = 0.2
+    blend: Literal["circular", "parabolic"] = "circular"
     tcp_max_speed_mm_s: Positive | None = None
     tcp_max_acceleration_mm_s2: Positive | None = None
 

@@ -20,9 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .elements import Array
+from rm501_host.kinematics import Arm
+
+from .elements import Array, Element, ElementTable, Indices
 from .geometry import joints_along, path_points
-from .law import PathLaw
+from .law import PathLaw, passed
 from .limits import Limits
 from .timelaw import IntervalLines, fastest_speeds
 
@@ -118,11 +120,29 @@ class JerkLaw:
         w = self.window_s
         return (area1 - area0) / w, (s1 - s0) / (w * self.stretch), (v1 - v0) / (w * self.stretch**2)
 
-    def _place(self, s: Array) -> tuple[NDArray[np.intp], Array]:
+    def _place(self, s: Array) -> tuple[Indices, Array]:
         lengths = self.base.table.length
         inside = np.clip(s, 0.0, self.offsets[-1])
         index = np.clip(np.searchsorted(self.offsets, inside, side="right") - 1, 0, len(lengths) - 1)
         return index, np.clip(inside - self.offsets[index], 0.0, lengths[index])
+
+    @property
+    def arm(self) -> Arm:
+        """The arm, with the tool of that moment."""
+        return self.base.arm
+
+    @property
+    def table(self) -> ElementTable:
+        """The elements of the path."""
+        return self.base.table
+
+    def places(self, time_s: Array) -> tuple[Indices, Array]:
+        """Which element of `table` and which s on it at the times given, (n,) each."""
+        return self._place(self._path(time_s)[0])
+
+    def elements_between(self, first_s: float, last_s: float) -> list[Element]:
+        """The elements that it passes between two of its times, in order, cut to what is passed."""
+        return passed(self.table, *self.places(np.array([first_s, last_s])))
 
     def q_deg(self, time_s: Array) -> Array:
         """Joint angles (n, 5) in deg."""

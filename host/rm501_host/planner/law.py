@@ -9,8 +9,24 @@ from numpy.typing import NDArray
 
 from rm501_host.kinematics import Arm
 
-from .elements import Array, ElementTable, Indices
+from .elements import Array, Element, ElementTable, Indices
 from .geometry import joints_along, path_points
+
+SHORTEST_PART = 1e-9
+"""Parts of elements below this many mm or deg are none."""
+
+
+def passed(table: ElementTable, index: Indices, s: Array) -> list[Element]:
+    """The elements from (index[0], s[0]) to (index[1], s[1]), the first and the last of them cut there."""
+    low, high = int(index[0]), int(index[1])
+    found = []
+    for number in range(low, high + 1):
+        element = table.elements[number]
+        begin = float(s[0]) if number == low else 0.0
+        end = float(s[1]) if number == high else element.length
+        if end - begin > SHORTEST_PART:
+            found.append(element.trimmed(begin, end))
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +74,15 @@ class PathLaw:
         beyond = time_s > self.time_s[-1]
         v = np.where(beyond, 0.0, v0 + u * tau)
         return k, s, v, np.where(beyond, 0.0, u)
+
+    def places(self, time_s: Array) -> tuple[Indices, Array]:
+        """Which element of `table` and which s on it at the times given, (n,) each."""
+        k, s, _, _ = self.locate(time_s)
+        return self.element[k], s
+
+    def elements_between(self, first_s: float, last_s: float) -> list[Element]:
+        """The elements that it passes between two of its times, in order, cut to what is passed."""
+        return passed(self.table, *self.places(np.array([first_s, last_s])))
 
     def q_deg(self, time_s: Array) -> Array:
         """Joint angles (n, 5) in deg at the times given."""

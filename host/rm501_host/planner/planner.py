@@ -89,7 +89,12 @@ class Planner:
 
     def _set_arm(self) -> None:
         builder = GridBuilder(self._path.arm, self._limits)
-        self._corners = CornerMaker(self._path.arm, self._limits, jerk_limited=self._jerk_limited)
+        self._corners = CornerMaker(
+            self._path.arm,
+            self._limits,
+            parabolic=self._config.planner.blend == "parabolic",
+            jerk_limited=self._jerk_limited,
+        )
         self._window = Window(self._path.arm, builder, self._frame_s)
 
     def _take(self, move: Move | Action) -> Iterator[Piece]:
