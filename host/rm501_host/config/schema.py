@@ -187,8 +187,8 @@ class PlannerSection(_Section, frozen=True):
     """`[planner]`: what the time law may use.
 
     `blend`: how G64 rounds corners between Cartesian moves: by circles, or by parabolas (which bend more in the middle
-    and less at their ends). With `jerk_limited` blends are quintics, whatever it says. `backlash_acceleration_share`: of
-    a joint's acceleration, for taking up its play where `backlash_deg` is not 0.
+    and less at their ends). With `jerk_limited` blends are quintics, whatever it says. `backlash_acceleration_share`:
+    of a joint's acceleration, for taking up its play where `backlash_deg` is not 0.
     """
 
     tolerance_steps: Positive
