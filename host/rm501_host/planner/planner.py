@@ -62,6 +62,7 @@ class Planner:
         self._jerk_limited = config.planner.jerk_limited
         self._mode = PathMode.EXACT_PATH
         self._tolerance_mm = 0.0
+        self._pending_mode = (self._mode, self._tolerance_mm)
         self._start_s = 0.0
         self._chain_s = 0.0
         self._merger = LineMerger()
@@ -182,12 +183,14 @@ class Planner:
 
     def _join(self, element: Element) -> Iterator[Piece]:
         pending = self._pending
+        before, self._pending_mode = self._pending_mode, (self._mode, self._tolerance_mm)
         if pending is None:
             self._pending, self._used = element, 0.0
             return
         # merging and blending share the tolerance: together they stay within it
-        tolerance_mm = self._tolerance_mm - max(pending.merged_mm, element.merged_mm)
-        corner = self._corners.between(pending, self._used, element, self._mode, tolerance_mm)
+        mode, tolerance_mm = _corner_mode(before, self._pending_mode)
+        tolerance_mm -= max(pending.merged_mm, element.merged_mm)
+        corner = self._corners.between(pending, self._used, element, mode, tolerance_mm)
         if corner is None:
             yield from self._rest()
             self._pending, self._used = element, 0.0
@@ -251,3 +254,11 @@ class Planner:
             motion_s=law.duration_s,
             arm=stretch.law.arm,
         )
+
+
+def _corner_mode(before: tuple[PathMode, float], after: tuple[PathMode, float]) -> tuple[PathMode, float]:
+    """How the corner between moves of two modes is passed: a blend takes from both, so both have to allow it."""
+    for strictest in (PathMode.EXACT_STOP, PathMode.EXACT_PATH):
+        if strictest in (before[0], after[0]):
+            return strictest, 0.0
+    return PathMode.BLEND, min(before[1], after[1])
