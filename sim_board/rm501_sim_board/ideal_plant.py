@@ -13,6 +13,7 @@ from rm501_sim_board.driver_boards import MOTORS_OF_BOARD, Board, BusActivity, I
 from rm501_sim_board.geometry import ARM_MOTOR_COUNT, END_STOPS, DriveTrain, FloatArray
 from rm501_sim_board.plant import (
     DEFAULT_COUNTER_LIMIT_STEPS,
+    TRACE_SECONDS,
     Disturbances,
     FrameClock,
     MotorTrace,
@@ -24,9 +25,11 @@ TRACE_FRAMES = 3
 class _Log:
     """Position of one motor over time, as changes: cheap to write, summed up when somebody asks."""
 
-    __slots__ = ("deltas", "periods")
+    __slots__ = ("before", "deltas", "periods")
 
     def __init__(self) -> None:
+        self.before = 0.0
+        """Sum of what was forgotten."""
         self.periods: list[IntArray] = []
         self.deltas: list[npt.NDArray[np.float64] | IntArray] = []
 
@@ -37,10 +40,20 @@ class _Log:
     def at(self, grid_periods: IntArray) -> FloatArray:
         """Position before each grid period."""
         if not self.periods:
-            return np.zeros(len(grid_periods))
+            return np.full(len(grid_periods), self.before)
         periods, deltas = np.concatenate(self.periods), np.concatenate(self.deltas)
-        sums = np.concatenate(([0.0], np.cumsum(deltas, dtype=np.float64)))
+        sums = self.before + np.concatenate(([0.0], np.cumsum(deltas, dtype=np.float64)))
         return sums[np.searchsorted(periods, grid_periods, side="left")]
+
+    def forget_before(self, period: int) -> None:
+        """Sum up whatever happened before; positions at earlier periods cannot be asked for any more."""
+        if not self.periods:
+            return
+        periods = np.concatenate(self.periods)
+        deltas = np.concatenate(self.deltas).astype(np.float64)
+        gone = int(np.searchsorted(periods, period, side="left"))
+        self.before += float(deltas[:gone].sum())
+        self.periods, self.deltas = [periods[gone:].copy()], [deltas[gone:].copy()]
 
 
 class IdealPlant:
@@ -79,10 +92,14 @@ class IdealPlant:
         self._pending: list[BusActivity] = []
         self._joint_deg: tuple[float, ...] | None = None
         self._travel_left = 0  # steps that surely reach no end stop
-        self._first_period = 0
+        self._first_period = 0  # of the trace
         self._period = 0
         self._command_logs = tuple(_Log() for _ in range(ARM_MOTOR_COUNT))
         self._actual_logs = tuple(_Log() for _ in range(ARM_MOTOR_COUNT))
+
+    @property
+    def _kept_periods(self) -> int:
+        return TRACE_SECONDS * 1_000_000 // self._clock.base_period_us
 
     @property
     def powered(self) -> bool:
@@ -151,6 +168,10 @@ class IdealPlant:
         for activity in self._pending:
             self._consume(activity)
         self._pending.clear()
+        if self._period - self._first_period > 2 * self._kept_periods:
+            self._first_period = self._period - self._kept_periods
+            for log in (*self._command_logs, *self._actual_logs):
+                log.forget_before(self._first_period)
 
     def reclock(self, clock: FrameClock, frame: int) -> None:
         """Frames have another length from now on; the trace starts anew."""
@@ -165,9 +186,10 @@ class IdealPlant:
             self._actual_logs[motor].add(start, np.array([actual]))
 
     def trace(self) -> MotorTrace:
-        """Positions every `TRACE_FRAMES` frames since power-up."""
+        """Positions every `TRACE_FRAMES` frames."""
         per_frame = self._clock.periods_per_frame
-        first, end = -(-self._first_period // per_frame), self._period // per_frame
+        first_period = max(self._first_period, self._period - self._kept_periods)
+        first, end = -(-first_period // per_frame), self._period // per_frame
         frames = np.arange(-(-first // TRACE_FRAMES) * TRACE_FRAMES, end + 1, TRACE_FRAMES, dtype=np.int64)
         grid = frames * per_frame
         return MotorTrace(

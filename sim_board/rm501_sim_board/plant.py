@@ -20,6 +20,9 @@ DEFAULT_COUNTER_LIMIT_STEPS = 127
 
 NEVER_FRAMES = 1 << 62
 
+TRACE_SECONDS = 600
+"""How far back a plant remembers its motion, as the bench does its port words: 75 MB of a plant with dynamics."""
+
 
 @dataclass(frozen=True, slots=True)
 class FrameClock:
@@ -112,4 +115,4 @@ class Plant(Protocol):
         """Frames have another length from now on; the present one is `frame`. The trace starts anew."""
 
     def trace(self) -> MotorTrace:
-        """Motor positions from power-up to now."""
+        """Motor positions of the last `TRACE_SECONDS`, or from power-up."""

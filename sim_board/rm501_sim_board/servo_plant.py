@@ -18,7 +18,7 @@ import numpy as np
 from rm501_sim_board.driver_boards import MOTORS_OF_BOARD, Board, BusActivity, IntArray
 from rm501_sim_board.geometry import ARM_MOTOR_COUNT, END_STOPS, DriveTrain, FloatArray, Joint, Motor
 from rm501_sim_board.loads import ArmLoads, JointLoads
-from rm501_sim_board.plant import DEFAULT_COUNTER_LIMIT_STEPS, Disturbances, FrameClock, MotorTrace
+from rm501_sim_board.plant import DEFAULT_COUNTER_LIMIT_STEPS, TRACE_SECONDS, Disturbances, FrameClock, MotorTrace
 from rm501_sim_board.randomness import stream
 from rm501_sim_board.servo import LEAST_FRICTION_FACTOR, ServoAxis, ServoParameters
 
@@ -231,13 +231,14 @@ class ServoPlant:
             del counts[:]
 
     def trace(self) -> MotorTrace:
-        """Link positions at the end of every sample since power-up."""
+        """Link positions at the end of every sample."""
         count = len(self._link_log[0])
-        frames = (np.arange(count, dtype=np.int64) + 1 + self._log_sample) * self._sample_frames
+        first = max(0, count - self._kept_samples)
+        frames = (np.arange(first, count, dtype=np.int64) + 1 + self._log_sample) * self._sample_frames
         return MotorTrace(
             frames,
-            np.stack([np.array(log, dtype=np.float64) for log in self._command_log], axis=1),
-            np.stack([np.array(log, dtype=np.float64) for log in self._link_log], axis=1),
+            np.stack([np.array(log[first:], dtype=np.float64) for log in self._command_log], axis=1),
+            np.stack([np.array(log[first:], dtype=np.float64) for log in self._link_log], axis=1),
         )
 
     # ------------------------------------------------------------ input
@@ -280,6 +281,17 @@ class ServoPlant:
         for motor in range(ARM_MOTOR_COUNT):
             self._command_log[motor].extend(commands[motor][1:])
             self._grid_command[motor] = commands[motor][-1]
+        excess = len(self._link_log[0]) - self._kept_samples
+        if excess > self._kept_samples:
+            for positions in (*self._link_log, *self._encoder_log):
+                del positions[:excess]
+            for counts in self._command_log:
+                del counts[:excess]
+            self._log_sample += excess
+
+    @property
+    def _kept_samples(self) -> int:
+        return TRACE_SECONDS * 1_000_000 // (self._sample_frames * self._clock.frame_us)
 
     def _commands_on_grid(self, motor: int, first: int, target: int) -> list[int]:
         """Steps commanded at the start of samples first..target (inclusive), since power-up."""

@@ -111,7 +111,7 @@ class _Writer:
             out.append(_clip(input_times, texts, first * period_us))
         for motor, code in enumerate(count_codes):
             steps = bench.recording.steps(motor)
-            counts = np.concatenate(([0], np.cumsum(steps.signs)))
+            counts = np.concatenate(([0], np.cumsum(steps.signs))) + bench.recording.start_count(motor)
             times = np.concatenate(([0], steps.periods)) * period_us
             out.append(_clip(times, [f"b{_binary(int(n))} {code}" for n in counts], first * period_us))
         trace = bench.plant.trace()
