@@ -9,6 +9,8 @@ from rm501_protocol.board_config import OUTPUT_LINES, output_bit
 
 _SWITCH_INPUTS = ("SWITCH_ELBOW", "SWITCH_WAIST", "SWITCH_SHOULDER", "SWITCH_ROLL", "SWITCH_PITCH")
 _MIN_DETERMINANT = 1e-6
+MOST_BACKLASH_DEG = 3.0
+"""Homing turns round within 10 deg of a switch and has to have taken up the play by the time it latches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +93,13 @@ def _about_joint(key: str, joint: JointSection) -> list[Complaint]:
                 "put the home position inside the joint's range",
             )
         )
-    if joint.backlash_deg != 0:
+    if joint.backlash_deg > MOST_BACKLASH_DEG:
         found.append(
-            Complaint(f"{key}.backlash_deg", "backlash is not compensated yet", "set it to 0: no play is taken up")
+            Complaint(
+                f"{key}.backlash_deg",
+                f"{joint.backlash_deg} deg is no play any more (at most {MOST_BACKLASH_DEG})",
+                "mend the joint; give the whole play between both directions, in deg of the joint",
+            )
         )
     if home.input not in _SWITCH_INPUTS:
         found.append(

@@ -22,6 +22,7 @@ from rm501_protocol.enums import SegmentFlag
 from rm501_protocol.segment import MAX_LENGTH_CUBIC_FRAMES, MAX_LENGTH_FRAMES, ONE_STEP, end_positions_q48
 from rm501_protocol.segment_message import MAX_EVENTS, MotorTerm, Segment, SegmentEvent, hand_event, output_event
 
+from .backlash import NO_OFFSETS, Backlash, OffsetLaw
 from .fit import Cubic, hermite, quadratic, to_wire
 from .motors import MotorMap
 from .samples import Samples
@@ -49,7 +50,9 @@ class PlannedSegment:
     `start_frame`, `end_frame`: motion frames, 64 bits; `start_q48`, `end_q48`: exact positions of the six motors
     there; `source`: the line that it belongs to at its start; `piece`: the piece of the ideal law, with
     `piece_start_frame`, the motion frame at which that piece's time 0 lies (float: pieces end between frames);
-    `max_error_steps`: largest distance from the ideal law at the samples.
+    `max_error_steps`: largest distance from the ideal law at the samples; `offsets`: how far the motors are ahead of
+    the links to take up play, from `start_frame` to `end_frame` and, as far as decided by then, beyond;
+    `tail_frames`: how much of it comes after the law's rest, to finish that.
     """
 
     segment: Segment
@@ -63,6 +66,8 @@ class PlannedSegment:
     max_error_steps: float
     hold_slope_local: float
     stop_slope_local: float
+    offsets: OffsetLaw = NO_OFFSETS
+    tail_frames: int = 0
 
 
 class Segmenter:
@@ -70,9 +75,12 @@ class Segmenter:
 
     `start_steps48`: positions of the six motors (or the five of the arm) in 2^-48 step where motion stands now;
     `start_frame`: the motion frame (64 bits) from which segments go on. Both follow the segments that are yielded.
+    `offsets`: how much of the positions is play taken up; those of the segment before where motion goes on in mid-run.
     """
 
-    def __init__(self, config: Config, start_steps48: Sequence[int], start_frame: int) -> None:
+    def __init__(
+        self, config: Config, start_steps48: Sequence[int], start_frame: int, offsets: OffsetLaw = NO_OFFSETS
+    ) -> None:
         self._config = config
         self._motors = MotorMap(config)
         self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
@@ -82,6 +90,7 @@ class Segmenter:
         self._guess = 64
         self._speed = np.zeros(5)
         self._slopes = Slopes(config, self._motors)
+        self._backlash = Backlash(self._motors.limits, self._frame_s, offsets)
 
     @property
     def positions_q48(self) -> tuple[int, ...]:
@@ -113,11 +122,16 @@ class Segmenter:
                     yield from self._still(piece)
                 continue
             if samples is None:
-                samples = Samples(self._motors, self._frame_s, piece.start_s)
+                samples = Samples(self._motors, self._frame_s, piece.start_s, self._backlash, self._frame)
                 run_frame = self._frame
                 run = []
                 _, rates, _ = piece.states(np.zeros(1))
                 self._speed = self._motors.steps(rates)[0] * self._frame_s * (not piece.starts_at_rest)
+                if piece.starts_at_rest:
+                    self._backlash.begin()
+                elif self._backlash.is_needed:
+                    _, offset_rates = self._backlash.law.at(np.array([float(run_frame)]))
+                    self._speed += self._motors.steps(offset_rates)[0]
             samples.extend(piece)
             run.append(piece)
             yield from self._fit(samples, run, run_frame)
@@ -314,7 +328,8 @@ class Segmenter:
         line = int(piece.lines(np.clip(within, 0.0, None))[0])
         source = replace(piece.source, line=line) if line != piece.source.line else piece.source
         slopes = self._slopes.local(cubic, frames)
-        return self._made(segment, piece, origin, source, error, slopes)
+        tail = int(samples.frames[end] - samples.frames[-1]) + samples.tail_frames if samples.is_complete else 0
+        return self._made(segment, piece, origin, source, error, slopes, min(max(tail, 0), frames))
 
     def _origin(self, piece: Piece, samples: Samples, run_frame: int) -> float:
         return run_frame + (piece.start_s - samples.start_s) / self._frame_s
@@ -327,12 +342,29 @@ class Segmenter:
         source: Source,
         error: float,
         slopes: tuple[float, float],
+        tail_frames: int = 0,
     ) -> PlannedSegment:
         start, first = self._positions, self._frame
         self._positions = end_positions_q48(start, segment)
         self._frame = first + segment.length_frames
+        offsets = NO_OFFSETS
+        if self._backlash.is_needed:
+            self._backlash.forget_before(first)
+            offsets = self._backlash.law_until(self._frame)
         return PlannedSegment(
-            segment, first, self._frame, start, self._positions, source, piece, origin, error, slopes[0], slopes[1]
+            segment,
+            first,
+            self._frame,
+            start,
+            self._positions,
+            source,
+            piece,
+            origin,
+            error,
+            slopes[0],
+            slopes[1],
+            offsets,
+            tail_frames,
         )
 
 
