@@ -42,16 +42,24 @@ class KeepOut:
 
         Inside a box the depth counts from the solid's skin to its axis at most.
         """
+        entries = self.first_entries(arm, q_deg, np.zeros(len(q_deg), dtype=np.intp), margin_mm)
+        return entries[0] if entries else None
+
+    def first_entries(
+        self, arm: Arm, q_deg: Array, move: NDArray[np.intp], margin_mm: float
+    ) -> list[tuple[int, str, float]]:
+        """As `first_entry`, for each of the moves (n,), in rising order, that the joints (n, 5) belong to."""
         if self.is_empty or not len(q_deg):
-            return None
+            return []
         found = clearances(capsules(arm.geometry, q_deg, self._radii), self._section)
         moving = [column for column, (solid, _) in enumerate(found.pairs) if solid != _COLUMN]
         depth = margin_mm - found.mm[:, moving]
         rows = np.flatnonzero((depth > _TOUCH_MM).any(axis=1))
-        if not len(rows):
-            return None
-        row = int(rows[0])
-        worst = int(np.argmax(depth[row]))
-        solid, zone = found.pairs[moving[worst]]
-        what = "go below the table" if zone == "table" else f"enter {zone!r}"
-        return row, f"the {solid} would {what}", float(depth[row, worst])
+        _, firsts = np.unique(move[rows], return_index=True)
+        entries = []
+        for row in rows[firsts].tolist():
+            worst = int(np.argmax(depth[row]))
+            solid, zone = found.pairs[moving[worst]]
+            what = "go below the table" if zone == "table" else f"enter {zone!r}"
+            entries.append((row, f"the {solid} would {what}", float(depth[row, worst])))
+        return entries
