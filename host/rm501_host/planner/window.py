@@ -44,7 +44,11 @@ class Stretch:
 
 
 class Window:
-    """Elements go in at one end (`extend`), the fastest law comes out at the other (`commit`, `finish`)."""
+    """Elements go in at one end (`extend`), the fastest law comes out at the other (`commit`, `finish`).
+
+    A window may also take over from another law over the same elements, in motion: `joins` says where that can be left
+    for the fastest one, `pass_on` forgets what the other law has gone through.
+    """
 
     def __init__(self, arm: Arm, builder: GridBuilder, frame_s: float, *, most_intervals: int = MOST_INTERVALS) -> None:
         self._arm = arm
@@ -67,6 +71,33 @@ class Window:
     def is_empty(self) -> bool:
         """Whether nothing waits."""
         return self._grid is None
+
+    @property
+    def ways(self) -> Array:
+        """How far each grid point (n + 1,) lies from the first one, in the elements' own parameters."""
+        lengths = np.zeros(0) if self._grid is None else self._grid.lines.length
+        return np.concatenate((np.zeros(1), np.cumsum(lengths)))
+
+    def joins(self, squared: Array) -> int | None:
+        """The first grid point at which a law that passes them at these squared speeds (n + 1,) can be left for this
+        window's: from there on it can still stop at the end of what is known. None where it never can.
+        """
+        grid = self._grid
+        if grid is None:
+            return None
+        found = np.flatnonzero(squared <= backward_pass(grid.lines, 0.0))
+        return int(found[0]) if len(found) else None
+
+    def pass_on(self, count: int, squared: float, seconds: float) -> None:
+        """Forget the first `count` intervals, which something else passes in `seconds`, in motion at the end of them:
+        its squared speed there.
+        """
+        grid = self._grid
+        assert grid is not None
+        assert squared > 0.0
+        self._committed_s += seconds
+        self._forget(grid, count)
+        self._first_x, self._at_rest = squared, False
 
     def extend(self, elements: list[Element]) -> None:
         """Add elements that join the last one smoothly; raises PlanError where they leave what the arm can do."""
@@ -163,13 +194,16 @@ class Window:
             self._committed_s = 0.0
             self._is_softened = False
             return stretch
+        self._forget(grid, count)
+        self._first_x = float(speeds[count])
+        self._at_rest = False
+        return stretch
+
+    def _forget(self, grid: Grid, count: int) -> None:
         first: Indices = grid.element[count:]
         low = int(first[0])
         self._elements = self._elements[low:]
         self._grid = Grid(first - low, grid.start[count:], grid.stop[count:], _sliced(grid.lines, count))
-        self._first_x = float(speeds[count])
-        self._at_rest = False
-        return stretch
 
 
 def _softened(lines: IntervalLines, speeds: Array, frame_s: float, *, head: bool, tail: bool) -> IntervalLines | None:
