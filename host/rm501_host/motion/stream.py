@@ -19,6 +19,7 @@ from itertools import islice
 
 from rm501_host.config import Config
 from rm501_host.errors import StoppedError
+from rm501_host.motion.offsets import PlayOffsets
 from rm501_host.moves import Source
 from rm501_host.planner import Piece
 from rm501_host.segmenter import PlannedSegment, Segmenter
@@ -47,6 +48,8 @@ _BATCH = 8
 """Segments planned at a time away from the event loop: long enough to be worth a thread, short enough to stop soon.
 """
 _POLL_S = 0.02
+_BOARD_EVENTS = 32
+"""Output and hand events that a board holds at once, over all queued segments (the firmware's ring of events)."""
 _HOMING_TRIGGER = 0
 
 
@@ -74,11 +77,14 @@ class MotionStream:
         """Exact commanded positions of all motors where the queue ends, in 2^-48 step."""
         self.end_frame = 0
         """Motion frame at which the queue ends, never wrapping."""
+        self.offsets = PlayOffsets()
+        """How much of the positions is play taken up."""
         self._ended: MotionEnded | None = None
         self._fault: FaultReport | None = None
         self._refused: Refused | None = None
         self._trigger: TriggerReport | None = None
         self._sources: deque[tuple[int, Source | None]] = deque()
+        self._event_frames: deque[int] = deque()
         self._remove_listener = session.add_listener(self._listen)
 
     @property
@@ -178,8 +184,9 @@ class MotionStream:
         session = self._session
         self._ended = self._fault = self._refused = None
         self._sources.clear()
+        self._event_frames.clear()
         first_frame = self.end_frame
-        source = iter(Segmenter(self._config, self.positions_q48, self.end_frame).segments(pieces))
+        source = iter(Segmenter(self._config, self.positions_q48, self.end_frame, self.offsets.law).segments(pieces))
         waiting: deque[PlannedSegment] = deque()
         exhausted = started = moved = False
         while True:
@@ -192,7 +199,7 @@ class MotionStream:
                 batch = await self._loop.run_in_executor(None, list, islice(source, _BATCH))
                 exhausted = not batch
                 waiting.extend(batch)
-            while waiting and self._room() > 0:
+            while waiting and self._room(waiting) > 0:
                 planned = waiting.popleft()
                 segment = planned.segment
                 session.post(replace(segment, flags=segment.flags | flags) if flags else segment)
@@ -202,22 +209,28 @@ class MotionStream:
                 self._take(planned)
                 await asyncio.sleep(0)
             filled = exhausted and not waiting
-            if not started and moved and (filled or self._room() <= 0):
+            if not started and moved and (filled or self._room(waiting) <= 0):
                 session.post(Start())
                 started = True
             self._give_up_on_a_lost_link()
-            self._resume_after_low_water(filled or self._room() <= 0)
+            self._resume_after_low_water(filled or self._room(waiting) <= 0)
             if on_progress is not None:
                 on_progress(self._progress(first_frame))
             if filled and self._at_rest_at_the_end(moved):
                 return
-            if filled or self._room() <= 0:
+            if filled or self._room(waiting) <= 0:
                 await asyncio.sleep(_POLL_S)
 
-    def _room(self) -> int:
+    def _room(self, waiting: deque[PlannedSegment]) -> int:
         """Segments that the board will have room for once what the link holds has arrived; never more than its queue
-        has slots, whatever it says.
+        has slots, whatever it says, and none while its queue of events has no room for those of the next one.
         """
+        if waiting and waiting[0].segment.events:
+            played = self._session.motion_frames.value
+            while self._event_frames and self._event_frames[0] < played:
+                self._event_frames.popleft()
+            if len(self._event_frames) + len(waiting[0].segment.events) > _BOARD_EVENTS:
+                return 0
         link = self._session.link
         slots = link.identify.queue_depth if link.identify is not None else 0
         return min(link.segment_credit, slots) - link.pending
@@ -226,7 +239,9 @@ class MotionStream:
         segment = planned.segment
         self.positions_q48 = end_positions_q48(self.positions_q48, segment)
         self.end_frame += segment.length_frames
+        self.offsets.add(planned)
         self._sources.append((self.end_frame, planned.source))
+        self._event_frames.extend(planned.start_frame + event.offset_frames for event in segment.events)
 
     def _interrupted(self, until_trigger: bool) -> bool:
         """Whether motion ended early as it should (a trigger); raises when it ended as it should not."""
@@ -238,6 +253,7 @@ class MotionStream:
             return False
         self.positions_q48 = self._ended.positions_q48
         self.end_frame = self._session.motion_frames.extend(self._ended.motion_frame)
+        self.offsets.end_at(self.end_frame)
         if until_trigger and self._ended.cause is EndCause.TRIGGER and self._trigger is not None:
             state = None if self._session.status is None else self._session.status.state
             if state in (BoardState.BOOT, BoardState.IDLE):

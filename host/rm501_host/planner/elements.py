@@ -45,6 +45,16 @@ class Curve(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class OutputMark:
+    """Outputs that change where the path passes `at` (the element's own s): those in `mask` become `levels`."""
+
+    at: float
+    mask: int
+    levels: int
+    source: Source
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Element:
     """One piece of the path.
@@ -52,6 +62,7 @@ class Element:
     `coefficients`: (4, 5), of 1, s, s^2, s^3; `cosine`, `sine`: (3,), mm; `omega`: rad per unit of s; `growth`: 1 per
     unit of s. `feed_mm_s` limits |dp/dt| of the tool centre point, `rate` limits ds/dt. `branch` is the arm's
     way of reaching a task-space element. `merged_mm`: how far merging has moved it off the programmed lines.
+    `marks`: in order, never at its end.
     """
 
     space: Space
@@ -69,6 +80,7 @@ class Element:
     is_blend: bool = False
     branch: Branch = Branch.FRONT_UP
     merged_mm: float = 0.0
+    marks: tuple[OutputMark, ...] = ()
 
     def evaluate(self, s: Array) -> tuple[Array, Array, Array]:
         """Values, first and second derivatives at s (n,), each (n, 5)."""
@@ -83,8 +95,11 @@ class Element:
         """The part from s = first to s = last, its own parameter starting at 0 again."""
         if first == 0.0 and last == self.length:
             return self
+        marks = self.marks
+        if marks:
+            marks = tuple(replace(mark, at=mark.at - first) for mark in marks if first <= mark.at < last)
         if self.curve is not None:
-            return replace(self, length=last - first, curve_start=self.curve_start + first)
+            return replace(self, length=last - first, curve_start=self.curve_start + first, marks=marks)
         a = first
         c0, c1, c2, c3 = self.coefficients
         shifted = np.stack((c0 + a * (c1 + a * (c2 + a * c3)), c1 + a * (2 * c2 + 3 * a * c3), c2 + 3 * a * c3, c3))
@@ -97,6 +112,7 @@ class Element:
             cosine=size * (self.cosine * angle_cos + self.sine * angle_sin),
             sine=size * (self.sine * angle_cos - self.cosine * angle_sin),
             growth=self.growth / size,
+            marks=marks,
         )
 
     @property

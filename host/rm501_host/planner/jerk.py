@@ -26,6 +26,8 @@ from .elements import Array, Element, ElementTable, Indices
 from .geometry import joints_along, path_points
 from .law import PathLaw, passed
 from .limits import Limits
+from .outputs import output_events
+from .pieces import PieceEvent
 from .timelaw import IntervalLines, fastest_speeds
 
 _PROBE_S = 2e-3
@@ -143,6 +145,23 @@ class JerkLaw:
     def elements_between(self, first_s: float, last_s: float) -> list[Element]:
         """The elements that it passes between two of its times, in order, cut to what is passed."""
         return passed(self.table, *self.places(np.array([first_s, last_s])))
+
+    def time_at(self, index: int, s: float) -> float:
+        """When it passes s on element `index`, which it does: by bisection, as the place only rises."""
+        wanted = float(self.offsets[index]) + s
+        low, high = 0.0, self.duration_s
+        for _ in range(64):
+            middle = 0.5 * (low + high)
+            if float(self._path(np.array([middle]))[0][0]) < wanted:
+                low = middle
+            else:
+                high = middle
+        return high if wanted > 0.0 else 0.0
+
+    def outputs(self) -> tuple[PieceEvent, ...]:
+        """The output changes of the path that fall into this law, in order, at their exact times."""
+        last = len(self.table) - 1
+        return output_events(self.table, (0, 0.0), (last, float(self.table.length[last])), self.time_at)
 
     def q_deg(self, time_s: Array) -> Array:
         """Joint angles (n, 5) in deg."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from rm501_host.kinematics import Arm
 
 from .elements import Array, Element, ElementTable, Indices
 from .geometry import joints_along, path_points
+from .outputs import output_events
+from .pieces import PieceEvent
 
 SHORTEST_PART = 1e-9
 """Parts of elements below this many mm or deg are none."""
@@ -83,6 +86,23 @@ class PathLaw:
     def elements_between(self, first_s: float, last_s: float) -> list[Element]:
         """The elements that it passes between two of its times, in order, cut to what is passed."""
         return passed(self.table, *self.places(np.array([first_s, last_s])))
+
+    def time_at(self, index: int, s: float) -> float:
+        """When it passes s on element `index`, which it does."""
+        first = int(np.searchsorted(self.element, index, side="left"))
+        last = int(np.searchsorted(self.element, index, side="right"))
+        k = max(first, first + int(np.searchsorted(self.start[first:last], s, side="right")) - 1)
+        way, v0 = max(0.0, s - float(self.start[k])), float(self.speed[k])
+        span = float(self.time_s[k + 1] - self.time_s[k])
+        u = (float(self.speed[k + 1]) - v0) / span
+        tau = 2.0 * way / max(v0 + sqrt(max(v0 * v0 + 2.0 * u * way, 0.0)), 1e-300)
+        return float(self.time_s[k]) + min(tau, span)
+
+    def outputs(self) -> tuple[PieceEvent, ...]:
+        """The output changes of the path that fall into this law, in order, at their exact times."""
+        first = (int(self.element[0]), float(self.start[0]))
+        last = (int(self.element[-1]), float(self.stop[-1]))
+        return output_events(self.table, first, last, self.time_at)
 
     def q_deg(self, time_s: Array) -> Array:
         """Joint angles (n, 5) in deg at the times given."""

@@ -24,6 +24,7 @@ from rm501_host.moves import (
     PathMode,
     PathModeChange,
     ProbeMove,
+    ProgramEnd,
     RapidMove,
     Source,
     SplineMove,
@@ -37,6 +38,7 @@ from .jerk import JerkLaw
 from .law import PathLaw
 from .limits import Limits
 from .merging import LineMerger
+from .outputs import combined
 from .path import PathBuilder
 from .pieces import Action, EventKind, Piece, PieceEvent, PieceKind
 from .window import Stretch, Window
@@ -69,7 +71,7 @@ class Planner:
         self._pending: Element | None = None
         self._used = 0.0
         self._ready: list[Element] = []
-        self._outputs: list[PieceEvent] = []
+        self._outputs: list[OutputChange] = []
         self._set_arm()
 
     @property
@@ -87,6 +89,7 @@ class Planner:
         for move in moves:
             yield from self._take(move)
         yield from self._stop()
+        yield from self._settle_outputs()
 
     def _set_arm(self) -> None:
         builder = GridBuilder(self._path.arm, self._limits)
@@ -126,15 +129,20 @@ class Planner:
                 event = PieceEvent(0.0, EventKind.HAND, value=pulses, source=move.source)
                 seconds = hand.stroke_pulses / hand.pulse_rate_steps_s + hand.settle_s
                 yield from self._wait(PieceKind.HAND, seconds, move.source, (event,))
+            case OutputChange(synchronised=True):
+                yield from self._join_held()
+                self._outputs.append(move)
             case OutputChange():
-                mask = 1 << move.output
-                event = PieceEvent(0.0, EventKind.OUTPUT, mask=mask, levels=mask if move.on else 0, source=move.source)
                 yield from self._stop()
-                yield from self._wait(PieceKind.OUTPUT, self._frame_s, move.source, (event,))
+                yield from self._switch([move])
             case ToolChange():
                 yield from self._stop()
                 self._path.use_tool(move.length_mm, move.offset_mm)
                 self._set_arm()
+            case ProgramEnd():
+                yield from self._stop()
+                yield from self._settle_outputs()
+                yield self._mark(move)
             case ProbeMove():
                 yield from self._stop()
                 yield self._mark(move)
@@ -164,6 +172,23 @@ class Planner:
             yield Piece(kind, source, self._start_s, duration, rest, events=events, arm=self._path.arm)
             self._start_s += duration
 
+    def _switch(self, changes: Sequence[OutputChange]) -> Iterator[Piece]:
+        """Outputs that change at rest."""
+        mark = combined(changes, 0.0)
+        event = PieceEvent(0.0, EventKind.OUTPUT, mask=mark.mask, levels=mark.levels, source=mark.source)
+        yield from self._wait(PieceKind.OUTPUT, self._frame_s, mark.source, (event,))
+
+    def _settle_outputs(self) -> Iterator[Piece]:
+        """Changes that waited for a motion which did not come: at rest, at the end."""
+        changes, self._outputs = self._outputs, []
+        if changes:
+            yield from self._switch(changes)
+
+    def _marked(self, element: Element, at: float) -> Element:
+        """The element with the output changes that wait for the next motion, if any, at s = `at`."""
+        changes, self._outputs = self._outputs, []
+        return replace(element, marks=(combined(changes, at),)) if changes else element
+
     def _whole_frames(self, seconds: float) -> float:
         return ceil(seconds / self._frame_s - 1e-6) * self._frame_s
 
@@ -185,7 +210,7 @@ class Planner:
         pending = self._pending
         before, self._pending_mode = self._pending_mode, (self._mode, self._tolerance_mm)
         if pending is None:
-            self._pending, self._used = element, 0.0
+            self._pending, self._used = self._marked(element, 0.0), 0.0
             return
         # merging and blending share the tolerance: together they stay within it
         mode, tolerance_mm = _corner_mode(before, self._pending_mode)
@@ -193,8 +218,13 @@ class Planner:
         corner = self._corners.between(pending, self._used, element, mode, tolerance_mm)
         if corner is None:
             yield from self._rest()
-            self._pending, self._used = element, 0.0
+            self._pending, self._used = self._marked(element, 0.0), 0.0
             return
+        if corner.elements:
+            blend = corner.elements[0]
+            corner = replace(corner, elements=(self._marked(blend, 0.5 * blend.length), *corner.elements[1:]))
+        else:
+            element = self._marked(element, 0.0)
         self._pass_corner(pending, element, corner)
         if len(self._ready) >= CHUNK_ELEMENTS and not self._jerk_limited:
             yield from self._advance()
@@ -249,6 +279,7 @@ class Planner:
             duration,
             tuple(rest.tolist()),
             law=law,
+            events=law.outputs(),
             starts_at_rest=stretch.starts_at_rest,
             ends_at_rest=stretch.ends_at_rest,
             motion_s=law.duration_s,

@@ -41,7 +41,7 @@ def reversed_element(element: Element) -> Element:
     """The same geometry from its end to its start."""
     if element.curve is not None:
         end = element.curve_start + element.length
-        return replace(element, curve=_Backwards(element.curve, end), curve_start=0.0)
+        return replace(element, curve=_Backwards(element.curve, end), curve_start=0.0, marks=())
     at_end = element.trimmed(element.length, 2.0 * element.length) if element.length else element
     c0, c1, c2, c3 = at_end.coefficients
     return replace(

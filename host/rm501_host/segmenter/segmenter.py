@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from rm501_host.config import Config
 from rm501_host.moves import Source
 from rm501_host.planner.errors import PlanError
-from rm501_host.planner.pieces import EventKind, Piece, PieceEvent
+from rm501_host.planner.pieces import Piece
 from rm501_protocol.enums import SegmentFlag
 from rm501_protocol.segment import MAX_LENGTH_CUBIC_FRAMES, MAX_LENGTH_FRAMES, ONE_STEP, end_positions_q48
-from rm501_protocol.segment_message import MAX_EVENTS, MotorTerm, Segment, SegmentEvent, hand_event, output_event
+from rm501_protocol.segment_message import MAX_EVENTS, MotorTerm, Segment, SegmentEvent
 
 from .backlash import NO_OFFSETS, Backlash, OffsetLaw
+from .events import EventsAhead, wire_event
 from .fit import Cubic, hermite, quadratic, to_wire
 from .motors import MotorMap
 from .samples import Samples
@@ -90,6 +91,7 @@ class Segmenter:
         self._guess = 64
         self._speed = np.zeros(5)
         self._slopes = Slopes(config, self._motors)
+        self._events_ahead = EventsAhead()
         self._backlash = Backlash(self._motors.limits, self._frame_s, offsets)
 
     @property
@@ -134,6 +136,7 @@ class Segmenter:
                     self._speed += self._motors.steps(offset_rates)[0]
             samples.extend(piece)
             run.append(piece)
+            self._events_ahead.add(piece, self._origin(piece, samples, run_frame), self._frame_s)
             yield from self._fit(samples, run, run_frame)
             if piece.ends_at_rest:
                 samples = None
@@ -145,18 +148,18 @@ class Segmenter:
         done = 0
         while done < frames:
             length = min(frames - done, MAX_LENGTH_FRAMES)
-            events = self._events(piece, done, length, 0.0)
+            events = self._events(piece, done, length)
             segment = Segment(self._frame & 0xFFFFFFFF, length, (), SegmentFlag.ENDS_AT_REST, events=events)
             yield self._made(segment, piece, first, piece.source, 0.0, (np.inf, np.inf))
             done += length
 
-    def _events(self, piece: Piece, first: int, length: int, offset: float) -> tuple[SegmentEvent, ...]:
-        """Events of a piece whose frame lies in [first, first + length), `offset` being the piece's first frame."""
+    def _events(self, piece: Piece, first: int, length: int) -> tuple[SegmentEvent, ...]:
+        """Events of a wait whose frame lies in [first, first + length)."""
         found = []
         for event in piece.events:
-            frame = int(np.ceil(event.offset_s / self._frame_s + offset - 1e-6))
+            frame = int(np.ceil(event.offset_s / self._frame_s - 1e-6))
             if first <= frame < first + length:
-                found.append(_wire_event(frame - first, event))
+                found.append(wire_event(frame - first, event))
         if len(found) > MAX_EVENTS:
             raise PlanError(
                 f"more than {MAX_EVENTS} output changes at one place", source=piece.source, remedy="spread them"
@@ -190,7 +193,7 @@ class Segmenter:
 
     def _longest(self, samples: Samples, at: int) -> tuple[int, Cubic, tuple[MotorTerm, ...], float] | None:
         """The farthest end that fits, with its polynomial; None when more samples have to come first."""
-        last = len(samples.frames) - 1
+        last = self._last_end(samples, at)
         low, best = at, None
         step = max(1, self._guess)
         high = None
@@ -205,7 +208,7 @@ class Segmenter:
                     break
                 step *= 2
         if high is None:
-            if not samples.is_complete:
+            if last == len(samples.frames) - 1 and not samples.is_complete:
                 return None
         else:
             while high - low > 1:
@@ -220,6 +223,15 @@ class Segmenter:
             low, best = self._shortest(samples, at)
         self._guess = max(1, low - at)
         return low, *best
+
+    def _last_end(self, samples: Samples, at: int) -> int:
+        """The last sample at which a segment from sample `at` may end, for it carries only so many events."""
+        last = len(samples.frames) - 1
+        frame = self._events_ahead.last_end
+        if frame is None:
+            return last
+        here = int(samples.frames[at]) - self._frame
+        return min(last, max(at + 1, int(np.searchsorted(samples.frames, frame + here, side="right")) - 1))
 
     def _shortest(self, samples: Samples, at: int) -> tuple[int, tuple[Cubic, tuple[MotorTerm, ...], float]]:
         """Where the longest lengths tried do not fit.
@@ -319,10 +331,8 @@ class Segmenter:
             del run[0]
         piece = run[0]
         origin = self._origin(piece, samples, run_frame)
-        events: tuple[SegmentEvent, ...] = ()
-        for candidate in run:
-            if candidate.events:
-                events += self._events(candidate, 0, frames, self._origin(candidate, samples, run_frame) - self._frame)
+        at_rest = bool(flags & SegmentFlag.ENDS_AT_REST)
+        events = self._events_ahead.take(self._frame, frames, ends_at_rest=at_rest)
         segment = Segment(self._frame & 0xFFFFFFFF, frames, terms, flags, events=events)
         within = np.array([(self._frame - origin) * self._frame_s])
         line = int(piece.lines(np.clip(within, 0.0, None))[0])
@@ -366,9 +376,3 @@ class Segmenter:
             offsets,
             tail_frames,
         )
-
-
-def _wire_event(offset_frames: int, event: PieceEvent) -> SegmentEvent:
-    if event.kind is EventKind.HAND:
-        return hand_event(offset_frames, event.value)
-    return output_event(offset_frames, event.mask, event.levels)
