@@ -87,6 +87,11 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
         else:
             session = await _connect(config, options, watcher)
             watcher.phase("planning")
+            if any(joint.backlash_deg > 0.0 for joint in config.joints.ordered):
+                watcher.message(
+                    "on which side of its play each joint stands is not known: angles may be off by half the play "
+                    "until each has moved by as much"
+                )
             checked = check_and_plan(program, arm, config, _trusted_position(session, arm), watcher.message)
         return await _play(program, checked, session, arm, config, options, watcher)
     finally:

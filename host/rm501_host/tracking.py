@@ -16,7 +16,7 @@ from rm501_host.config.board import board_config_from
 from rm501_host.kinematics import Arm
 from rm501_host.planner import Piece, Plan
 from rm501_host.report import LimitFigures, TrackingFigures
-from rm501_host.segmenter import PlannedSegment
+from rm501_host.segmenter import NO_OFFSETS, PlannedSegment
 from rm501_protocol.segment import ONE_STEP, position_q48
 
 _ARM_MOTORS = 5
@@ -68,6 +68,10 @@ class RunFigures:
             start = planned.start_q48[term.motor]
             played[:, term.motor] = [position_q48(start, term, int(frame)) for frame in frames]
         played /= ONE_STEP
+        if planned.offsets is not NO_OFFSETS:
+            offsets_deg, _ = planned.offsets.at((planned.start_frame + frames).astype(np.float64))
+            played -= arm.motors_from_joints(offsets_deg)
+            self.cycle_s += planned.tail_frames * self._frame_s
         time_s = (planned.start_frame - planned.piece_start_frame + frames) * self._frame_s
         q_deg = planned.piece.q_deg(np.clip(time_s, 0.0, planned.piece.duration_s))
         # a segment may reach into the next piece of a blended chain: what lies beyond this one is not its to judge

@@ -36,6 +36,8 @@ class ArmState:
         self._boot_id = 0
         self._vetoed: set[int] = set()
         self._status: Status | None = None
+        self.offsets_deg: tuple[float, ...] = (0.0,) * len(JOINT_NAMES)
+        """How much of each joint's motor side is play taken up; 0, the middle, where that is not known."""
 
     @property
     def warning(self) -> str | None:
@@ -48,6 +50,7 @@ class ArmState:
         self._status = status
         record = self._file.read()
         self._vetoed = set()
+        play = self._take_over_offsets(record, identify, status)
         if not status.trusted_mask & _ARM_MOTORS:
             return "the board trusts no position: home every joint"
         reason = None
@@ -58,9 +61,28 @@ class ArmState:
         elif record.config_hash != self._digest:
             reason = "the position file belongs to another configuration"
         if reason is None:
-            return "same boot, same configuration: the joints that the board trusts stay homed"
+            return f"same boot, same configuration: the joints that the board trusts stay homed{play}"
         self._vetoed = set(range(len(JOINT_NAMES)))
         return f"{reason}: nothing is trusted, home every joint"
+
+    def _take_over_offsets(self, record: PositionRecord | None, identify: Identify, status: Status) -> str:
+        """Set the offsets from the file if it says where the arm still stands; what to say when they are not known."""
+        loose = [name for name, j in zip(JOINT_NAMES, self._config.joints.ordered, strict=True) if j.backlash_deg > 0.0]
+        self.offsets_deg = (0.0,) * len(JOINT_NAMES)
+        if not loose:
+            return ""
+        if (
+            record is not None
+            and not record.dirty
+            and (record.boot_id, record.config_hash) == (identify.boot_id, self._digest)
+            and record.positions_steps[:5] == status.positions_steps[:5]
+        ):
+            self.offsets_deg = record.offsets_deg
+            return ""
+        return (
+            f"; on which side of its play each joint stands is not known ({', '.join(loose)}): "
+            "angles may be off by half the play until each has moved by as much"
+        )
 
     def update(self, status: Status) -> None:
         """Take a new status."""
@@ -92,7 +114,8 @@ class ArmState:
     @property
     def joints_deg(self) -> tuple[float, ...]:
         """Joint angles that belong to the step counts (counter coordinates while unhomed)."""
-        return tuple(float(angle) for angle in self.arm.joints_from_motors(np.array(self.steps[:5], dtype=float)))
+        angles = self.arm.joints_from_motors(np.array(self.steps[:5], dtype=float)) - np.array(self.offsets_deg)
+        return tuple(float(angle) for angle in angles)
 
     @property
     def hand(self) -> str:
@@ -114,5 +137,6 @@ class ArmState:
                 homed=self.homed,
                 hand=self.hand,
                 utc=self._utc(),
+                offsets_deg=self.offsets_deg,
             )
         )

@@ -185,7 +185,8 @@ class Machine:
         if self.stream is None:
             return self.arm_state.joints_deg
         motors = np.array(self.stream.positions_q48[:5], dtype=float) / ONE_STEP
-        return tuple(float(angle) for angle in self.arm.joints_from_motors(motors))
+        angles = self.arm.joints_from_motors(motors) - np.array(self.stream.offsets.deg)
+        return tuple(float(angle) for angle in angles)
 
     # ------------------------------------------------------------------------- what everybody may do
 
@@ -451,6 +452,7 @@ class Machine:
             with contextlib.suppress(ValueError):
                 old.detach()
         await stream.prepare()
+        stream.offsets.set(self.arm_state.offsets_deg)
         if self.override != 1.0:
             session.post(SetOverride(round(self.override * OVERRIDE_ONE)))
         self.stream = stream
@@ -497,6 +499,8 @@ class Machine:
     def _notice(self, notice: Notice) -> None:
         match notice:
             case Status():
+                if self.stream is not None:
+                    self.arm_state.offsets_deg = self.stream.offsets.at(self.session.motion_frames.value)
                 self.arm_state.update(notice)
                 self._follow(notice)
             case FaultReport(fault=fault):
@@ -507,6 +511,7 @@ class Machine:
                 if self.stream is not None:
                     self.stream.positions_q48 = notice.positions_q48
                     self.stream.end_frame = self.session.motion_frames.extend(notice.motion_frame)
+                    self.stream.offsets.end_at(self.stream.end_frame)
                 self.write_log("motion_ended", cause=notice.cause.name, motion_frame=notice.motion_frame)
             case LinkSilent(silent_us=silent_us):
                 self.write_log("link_silent", silent_us=silent_us)

@@ -70,8 +70,10 @@ async def _measure(machine: Machine, stream: MotionStream, index: int) -> float:
     report = await _seek(machine, stream, index, away * 2 * PAST_DEG, speed, Edge.FALLING)
     if report is None:
         raise _missing(index, "did not release")
+    # leaving the switch, the link hangs on the flank of that direction
+    flank = away * 0.5 * machine.config.joints.ordered[index].backlash_deg
     latched = float(machine.arm.joints_from_motors(report.positions_steps[:5])[index])
-    return latched - home.switch_deg
+    return latched - flank - home.switch_deg
 
 
 async def _seek(

@@ -126,6 +126,10 @@ class Homing:
             )
         before_deg = self._offset_deg[index]
         self._offset_deg[index] = self._released_deg(index, away) - second_deg
+        # it stopped still moving away: whatever was commanded before, the link hangs on the flank of that direction
+        offsets = list(self._stream.offsets.deg)
+        offsets[index] = self._flank_deg(index, away)
+        self._stream.offsets.set(offsets)
         self.homed[index] = True
         correction_deg = self._offset_deg[index] - before_deg
         await self._set_positions(index)
@@ -137,7 +141,11 @@ class Homing:
         report = await self._seek(index, away * 2 * _PAST_SWITCH_DEG, speed_deg_s, Edge.FALLING)
         if report is None:
             raise self._error(index, "the switch did not release", "stuck")
-        return float(self._arm.joints_from_motors(report.positions_steps[:5])[index])
+        return float(self._arm.joints_from_motors(report.positions_steps[:5])[index]) - self._flank_deg(index, away)
+
+    def _flank_deg(self, index: int, way: float) -> float:
+        """How far the motor is ahead of the link once the play is taken up in this direction."""
+        return way * 0.5 * self._config.joints.ordered[index].backlash_deg
 
     async def _seek(self, index: int, travel_deg: float, speed_deg_s: float, edge: Edge) -> TriggerReport | None:
         """Move one joint by `travel_deg` at `speed_deg_s` until its switch shows `edge`; None when it never did."""
@@ -161,6 +169,7 @@ class Homing:
         if not all(self.homed[joint] for joint in joints):
             return
         # What the arm stands at is the count of steps made, not the fraction of a step that is due beyond it.
+        # Play that is taken up stays in the motors' positions.
         counts_deg = self._arm.joints_from_motors(self._stream.positions_steps[:5])
         true_deg = [float(angle) + offset for angle, offset in zip(counts_deg, self._offset_deg, strict=True)]
         # For uncoupled joints motor and joint have the same index; the wrist's two motors carry its two joints.
@@ -178,7 +187,8 @@ class Homing:
 
     def _counter_deg(self) -> list[float]:
         exact = [position / ONE_STEP for position in self._stream.positions_q48[:5]]
-        return [float(angle) for angle in self._arm.joints_from_motors(exact)]
+        angles = self._arm.joints_from_motors(exact)
+        return [float(angle) - ahead for angle, ahead in zip(angles, self._stream.offsets.deg, strict=True)]
 
     def _released_deg(self, index: int, away: float) -> float:
         """The angle at the latched count: the first whole step past the switch, where it reads open.
@@ -189,8 +199,9 @@ class Homing:
         motors = self._config.motors.ordered
         carriers = _WRIST_JOINTS if index in _WRIST_JOINTS else (index,)
         steps_per_deg = max(motors[motor].steps_per_deg for motor in carriers)
-        switch_steps = self._config.joints.ordered[index].home.switch_deg * steps_per_deg
-        return away * (math.floor(away * switch_steps + _SAME_STEP) + 1) / steps_per_deg
+        flank_deg = self._flank_deg(index, away)
+        switch_steps = (self._config.joints.ordered[index].home.switch_deg + flank_deg) * steps_per_deg
+        return away * (math.floor(away * switch_steps + _SAME_STEP) + 1) / steps_per_deg - flank_deg
 
     def _active(self, index: int) -> bool:
         switch = InputId[self._config.joints.ordered[index].home.input]

@@ -15,7 +15,10 @@ from rm501_host.storage.atomic import StorageError, write_atomic
 
 
 class PositionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The file's content. `dirty`: motion was under way when it was written; positions are then where it began."""
+    """The file's content. `dirty`: motion was under way when it was written; positions are then where it began.
+
+    `offsets_deg`: how much of the positions is play taken up, per joint.
+    """
 
     version: int = 1
     dirty: bool
@@ -25,6 +28,7 @@ class PositionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     homed: tuple[bool, ...]
     hand: str
     utc: str
+    offsets_deg: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PositionFile:
