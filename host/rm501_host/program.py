@@ -10,7 +10,7 @@ from rm501_host.gcode.canon import Signal
 from rm501_host.gcode.errors import GcodeUnsupportedError, Location
 from rm501_host.gcode.interpreter import Interpreter
 from rm501_host.gcode.program_log import ProgramLog
-from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, resolve
+from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve
 from rm501_host.gcode.settings import Settings
 from rm501_host.gcode.source import FileLines
 from rm501_host.gcode.user_m import find_user_m, run_user_m
@@ -86,20 +86,27 @@ def read_moves(
             folder = program.resolve().parent
             settings = Settings(subroutine_path=(folder,)) if config is None else program_settings(config, program)
         interpreter = Interpreter(source, settings, on_warning=warn)
-        interpreter.set_position(arm.program_from_joints(tuple(joints_deg())))
         options = ResolveOptions(
             outputs={} if config is None else output_map(config),
             on_log=log,
             on_warning=lambda text, at: warn(f"{at}: {text}"),
         )
-        for move in resolve(interpreter.calls(), options):
+        resolver = Resolver(options)
+
+        def stand() -> None:
+            position = arm.program_from_joints(tuple(joints_deg()))
+            interpreter.set_position(position)
+            resolver.set_position(position)
+
+        stand()
+        for move in resolve(interpreter.calls(), options, resolver=resolver):
             if isinstance(move, OutputChange) and config is not None:
                 _check_output(move, len(config.board.digital_outputs))
             yield move
             if isinstance(move, ToolChange):
                 arm = arm.with_tool(move.length_mm, move.offset_mm)
             if isinstance(move, JointMove | ToolChange):
-                interpreter.set_position(arm.program_from_joints(tuple(joints_deg())))
+                stand()
     finally:
         source.close()
         if log is not None:

@@ -274,16 +274,17 @@ def swept_angle(start: tuple[float, float], end: tuple[float, float], centre: tu
     """Angle in rad an arc turns through, positive counter-clockwise; equal ends make a full turn.
 
     The peer's rule (`turns` as in ArcFeed): the angle to the end is taken within one turn, then full turns are added.
+    Ends are equal within 1e-9 rad, also across +-180 deg: the start may be rounded, where it comes from joint angles.
     """
     a0 = math.atan2(start[1] - centre[1], start[0] - centre[0])
     a1 = math.atan2(end[1] - centre[1], end[0] - centre[0])
+    whole = 2.0 * math.pi
+    angle = (a1 - a0) % whole
+    if angle < 1e-9 or whole - angle < 1e-9:
+        angle = 0.0
     if turns < 0:
-        if a1 >= a0 - 1e-12:
-            a1 -= 2.0 * math.pi
-        return a1 - a0 + 2.0 * math.pi * (turns + 1)
-    if a1 <= a0 + 1e-12:
-        a1 += 2.0 * math.pi
-    return a1 - a0 + 2.0 * math.pi * (turns - 1)
+        return angle - whole + whole * (turns + 1)
+    return (angle or whole) + whole * (turns - 1)
 
 
 def _arc_length(

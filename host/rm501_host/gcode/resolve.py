@@ -110,8 +110,15 @@ class Resolver:
 
     def _keep_place(self, change: Callable[[], None]) -> None:
         """Offsets change, the tool stays: renumber where it is."""
-        t = self._target(self._program)
+        here = self._target(self._program)
         change()
+        self.set_position(here)
+
+    def set_position(self, t: mv.Target) -> None:
+        """Tell where the tool centre point is (program frame, mm and deg): arcs, splines and feeds start from there.
+
+        To be called wherever the interpreter is told (`Interpreter.set_position`): calls carry ends, not starts.
+        """
         x, y = rotate(t[0] - self._g5x[0], t[1] - self._g5x[1], -self._rotation_deg)
         g5x, g92 = self._g5x, self._g92
         self._program = (
@@ -313,9 +320,14 @@ def _user_move(call: c.UserMCode, source: mv.Source) -> ResolvedMove:
     return ExternalAction(call.number, call.p, call.q, source)
 
 
-def resolve(calls: Iterable[c.CanonCall], options: ResolveOptions | None = None) -> Iterator[ResolvedMove]:
-    """Moves of a stream of calls, lazily. Raises GcodeError; what came before it has been yielded."""
-    resolver = Resolver(options)
+def resolve(
+    calls: Iterable[c.CanonCall], options: ResolveOptions | None = None, *, resolver: Resolver | None = None
+) -> Iterator[ResolvedMove]:
+    """Moves of a stream of calls, lazily. Raises GcodeError; what came before it has been yielded.
+
+    `resolver`: one made with the same options, for whoever has to tell it positions.
+    """
+    resolver = resolver or Resolver(options)
     most = (options or ResolveOptions()).max_silent_heartbeats
     silent = 0
     for call in calls:

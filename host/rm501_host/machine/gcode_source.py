@@ -138,10 +138,12 @@ def program_moves(
     source = FileLines.open(path, path.name)
     try:
         interpreter = around.interpreter(source, arm, around.settings(start_line=start_line, max_blocks=max_blocks))
-        interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
+        options = around.resolve_options()
+        resolver = Resolver(options)
+        _stand(interpreter, resolver, arm, joints_deg)
         last: Source | None = None
         tool = arm
-        for move in resolve(interpreter.calls(), around.resolve_options()):
+        for move in resolve(interpreter.calls(), options, resolver=resolver):
             if isinstance(move, ToolChange):
                 tool = arm.with_tool(move.length_mm, move.offset_mm)
             if step and last is not None and move.source.line != last.line and not isinstance(move, ProgramEnd):
@@ -151,10 +153,17 @@ def program_moves(
             if not isinstance(move, Message | Pause | ProgramEnd | ToolChange):
                 last = move.source
             if isinstance(move, JointMove | ToolChange):
-                interpreter.set_position(tool.program_from_joints(np.array(joints_deg())))
+                _stand(interpreter, resolver, tool, joints_deg)
         around.save_variables(interpreter)
     finally:
         source.close()
+
+
+def _stand(interpreter: Interpreter, resolver: Resolver, arm: Arm, joints_deg: Joints) -> None:
+    """Both readers of a program learn where the tool is: words left out, and where arcs begin."""
+    position = arm.program_from_joints(np.array(joints_deg()))
+    interpreter.set_position(position)
+    resolver.set_position(position)
 
 
 class MdiSession:
@@ -186,7 +195,7 @@ class MdiSession:
                 # every block is planned by itself, from an arm without a tool
                 arm = arm.with_tool(self._tool.length_mm, self._tool.offset_mm)
                 yield self._tool
-            interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
+            _stand(interpreter, self._resolver, arm, joints_deg)
             for call in self._calls:
                 if isinstance(call, OperatorMessage) and call.text.strip() == _END_OF_BLOCK:
                     break
@@ -196,7 +205,7 @@ class MdiSession:
                         arm = bare.with_tool(move.length_mm, move.offset_mm)
                     yield move
                     if isinstance(move, JointMove | ToolChange):
-                        interpreter.set_position(arm.program_from_joints(np.array(joints_deg())))
+                        _stand(interpreter, self._resolver, arm, joints_deg)
                     if isinstance(move, ProgramEnd):
                         self._interpreter = None
             self._around.save_variables(interpreter)
