@@ -1,14 +1,15 @@
 """Jogging: a motion that goes on while somebody keeps asking for it, and stops by itself when nobody does.
 
-A continuous jog is one planned move from here to as far as it may go that way (the soft limit, the edge of the
-workspace, a singularity), played under the board's lease of 200 ms. Each `keep` of the client renews the lease;
-when the key, the client, the daemon or the link goes away, the board ramps down on the path and drops the rest. So
-the limits are respected on the way by construction, and nothing has to be sent to stop.
+A continuous jog is one planned move from here to as far as it may go that way (a joint limit, a keep-out zone, a
+singularity that leaves no way on), played under the board's lease of 200 ms. Each `keep` of the client renews the
+lease; when the key, the client, the daemon or the link goes away, the board ramps down on the path and drops the rest.
+So the limits are respected on the way by construction, and nothing has to be sent to stop.
 
 An incremental jog is the same move with a known length.
 
 Frames: `joint` (axes: the joints), `world` (X Y Z of the program frame, A B C), `tool` (X Y Z along the tool's own
-axes). Cartesian jogs keep the orientation and end before the place that cannot be planned.
+axes). Cartesian jogs pass singularities by damped least squares: `jog_path` has the theory. The job's result says why
+the way ends and how far damping takes the tool off its line.
 """
 
 from __future__ import annotations
@@ -16,19 +17,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from rm501_host.config import JOINT_NAMES
 from rm501_host.errors import RefusedError, Rm501Error, StoppedError
-from rm501_host.kinematics.results import Target6
 from rm501_host.machine.jobs import Job, JobKind
+from rm501_host.machine.jog_path import DAMPED_SOURCE, JOG_SOURCE, JogPath
+from rm501_host.machine.jog_plan import TOOL_AXES, WORLD_AXES, PlannedJog, plan_cartesian_jog
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
 from rm501_host.machine.operations import TEACH_SPEED_MM_S
-from rm501_host.moves import Feed, LinearMove, Source
-from rm501_host.planner import Piece, PlanError, Planner, plan_joint_move
+from rm501_host.motion import Progress
+from rm501_host.planner import plan_joint_move
+from rm501_host.preflight.keep_out import KeepOut
 from rm501_host.session import BoardRefusedError, BoardSession
 from rm501_protocol.enums import SegmentFlag
 from rm501_protocol.faults import RefusalReason
@@ -38,18 +40,9 @@ UNHOMED_SPEED = 0.2
 """Share of a joint's speed while it is not homed: nobody knows where its limits are."""
 UNHOMED_REACH_DEG = 30.0
 """How far one jog of an unhomed joint may go: an end stop may be near."""
-_LINEAR_REACH_MM = 800.0
-"""The workspace's diameter is below this."""
-_ANGULAR_REACH_DEG = 360.0
-_SAMPLE = 2.0
-"""Spacing of the samples along a Cartesian jog, mm or deg."""
-_LARGEST_STEP_DEG = 20.0
-"""A joint that turns farther between two samples 2 mm apart passes a singularity or changes the branch."""
-_SHORTENINGS = 6
-_SHORTEST = 0.5
-_SOURCE = Source("(jog)", 0)
-WORLD_AXES = ("x", "y", "z", "a", "b", "c")
-TOOL_AXES = ("x", "y", "z")
+_SHORTEST_DEG = 0.05
+_SWEEP_DEG = 0.5
+"""Spacing at which a joint's jog is checked against keep-out zones."""
 
 
 class Jogger:
@@ -59,6 +52,8 @@ class Jogger:
         self._machine = machine
         self._lease_ms = machine.config.board.jog_lease_ms
         self._wanted: Job | None = None
+        self.is_damped = False
+        """Whether the tool is in a part of its way where damping may take it off its line."""
 
     def start(self, who: Owner, frame: str, axis: str, speed: float, *, distance: float | None = None) -> Job:
         """Start a jog; `speed` in deg/s or mm/s, its sign is the direction; `distance` (deg or mm, above 0): just so
@@ -114,7 +109,7 @@ class Jogger:
         assert machine.stream is not None
         loop = asyncio.get_running_loop()
         start = machine.planning_start_deg
-        pieces = await loop.run_in_executor(None, lambda: self._plan(start, frame, axis, speed, distance))
+        planned = await loop.run_in_executor(None, lambda: self._plan(start, frame, axis, speed, distance))
         if self._wanted is not job and continuous:
             return
         session = machine.session
@@ -124,7 +119,8 @@ class Jogger:
         try:
             if not continuous:
                 self._keep_alive(session, loop, job)
-            await stream.play(pieces, flags=SegmentFlag.JOG)
+            await stream.play(planned.pieces, self._on_progress, flags=SegmentFlag.JOG)
+            job.result["ended"] = planned.path.reason
         except StoppedError:
             if not machine.stopped_by_lease():
                 raise
@@ -134,12 +130,18 @@ class Jogger:
                 raise
             ended_without_motion = True
         finally:
+            self.is_damped = False
             if machine.last_end is None and session.failure is None:
                 with contextlib.suppress(Rm501Error):
                     session.post(Lease(0))
         if ended_without_motion:
             await machine.resync()
         job.result["joints_deg"] = list(machine.planning_start_deg)
+        job.result["damped"] = planned.path.is_damped
+        job.result["deviation_mm"] = round(planned.path.deviation_mm, 3)
+
+    def _on_progress(self, progress: Progress) -> None:
+        self.is_damped = progress.source is not None and progress.source.line == DAMPED_SOURCE.line
 
     def _keep_alive(self, session: BoardSession, loop: asyncio.AbstractEventLoop, job: Job) -> None:
         """An incremental jog has a known end, so the daemon itself keeps the lease until then."""
@@ -149,16 +151,15 @@ class Jogger:
 
     # ------------------------------------------------------------------------------------------------ planning
 
-    def _plan(
-        self, start: Sequence[float], frame: str, axis: str, speed: float, distance: float | None
-    ) -> tuple[Piece, ...]:
+    def _plan(self, start: Sequence[float], frame: str, axis: str, speed: float, distance: float | None) -> PlannedJog:
         if frame == "joint":
             return self._plan_joint(start, JOINT_NAMES.index(axis), speed, distance)
-        return self._plan_line(start, frame, axis, speed, distance)
+        machine = self._machine
+        return plan_cartesian_jog(
+            machine.arm, machine.config, np.array(start), frame, axis, speed, distance, TEACH_SPEED_MM_S
+        )
 
-    def _plan_joint(
-        self, start: Sequence[float], joint: int, speed: float, distance: float | None
-    ) -> tuple[Piece, ...]:
+    def _plan_joint(self, start: Sequence[float], joint: int, speed: float, distance: float | None) -> PlannedJog:
         machine = self._machine
         section = machine.config.joints.ordered[joint]
         homed = machine.arm_state.homed[joint]
@@ -175,14 +176,48 @@ class Jogger:
                     f"{JOINT_NAMES[joint]} has {room:.3f} deg left that way, not {distance}; choose a shorter step"
                 )
             reach = room if distance is None else distance
+            reason = f"{JOINT_NAMES[joint]} is at its limit" if distance is None else ""
+            free, zone = self._free_deg(start, joint, sign, reach)
+            if free < reach:
+                if distance is not None or free < _SHORTEST_DEG:
+                    raise RefusedError(
+                        f"{JOINT_NAMES[joint]} has {free:.2f} deg left that way: {zone}; jog another way"
+                    )
+                reach, reason = free, zone
             cap = min(cap, self._teach_cap(start, joint))
         else:
+            reason = "an unhomed joint goes no farther in one jog"
             reach = min(UNHOMED_REACH_DEG, UNHOMED_REACH_DEG if distance is None else distance)
             cap = min(cap, UNHOMED_SPEED * section.max_velocity_deg_s)
         target[joint] += sign * reach
-        return plan_joint_move(
-            machine.arm, machine.config, start, target, max_velocity_deg_s=cap, ignore_limits=not homed, source=_SOURCE
+        pieces = plan_joint_move(
+            machine.arm,
+            machine.config,
+            start,
+            target,
+            max_velocity_deg_s=cap,
+            ignore_limits=not homed,
+            source=JOG_SOURCE,
         )
+        return PlannedJog(pieces, JogPath(reach=reach, reason=reason))
+
+    def _free_deg(self, start: Sequence[float], joint: int, sign: float, reach: float) -> tuple[float, str]:
+        """How far a joint may turn before the arm enters a keep-out zone, deg, and which.
+
+        A zone that the arm already stands in does not keep it from getting out. While another joint is not homed nobody
+        knows where the arm is.
+        """
+        machine = self._machine
+        zones = KeepOut(machine.config)
+        if zones.is_empty or machine.arm_state.unhomed():
+            return reach, ""
+        turns = np.append(np.arange(0.0, reach, _SWEEP_DEG), reach)
+        sweep = np.tile(np.array(start), (len(turns), 1))
+        sweep[:, joint] += sign * turns
+        found = zones.first_entry(machine.arm, sweep, 0.0)
+        if found is None or found[0] == 0:
+            return reach, ""
+        return float(turns[found[0] - 1]), found[1]
 
     def _teach_cap(self, start: Sequence[float], joint: int) -> float:
         """Largest rate of a joint, deg/s, at which the tool stays within the teach speed wherever the others stand."""
@@ -193,65 +228,3 @@ class Jogger:
         if per_rad < 1e-9:
             return float("inf")
         return float(np.rad2deg(TEACH_SPEED_MM_S / per_rad))
-
-    def _plan_line(
-        self, start: Sequence[float], frame: str, axis: str, speed: float, distance: float | None
-    ) -> tuple[Piece, ...]:
-        machine = self._machine
-        here = machine.arm.program_from_joints(np.array(start))
-        sign = 1.0 if speed > 0 else -1.0
-        direction = np.zeros(6)
-        direction[WORLD_AXES.index(axis)] = sign
-        angular = axis in "abc"
-        if frame == "tool":
-            direction[:3] = self._tool_axis(start, TOOL_AXES.index(axis)) * sign
-        feed = min(abs(speed), TEACH_SPEED_MM_S) * 60.0
-        if distance is not None:
-            return self._line(start, here, direction * distance, feed)
-        reach = self._reach(start, here, direction, _ANGULAR_REACH_DEG if angular else _LINEAR_REACH_MM)
-        reason: Rm501Error | None = None
-        for _ in range(_SHORTENINGS):
-            if reach < _SHORTEST:
-                break
-            try:
-                return self._line(start, here, direction * reach, feed)
-            except PlanError as error:
-                reason = error
-                reach *= 0.7
-        because = "the arm's reach or a joint limit is there" if reason is None else str(reason)
-        raise RefusedError(f"cannot jog {frame} {axis} that way from here: {because}")
-
-    def _reach(
-        self, start: Sequence[float], here: Target6, direction: np.ndarray[Any, np.dtype[np.float64]], farthest: float
-    ) -> float:
-        """How far the arm can follow, mm or deg: to the last of dense samples within limits, near its neighbour."""
-        arm = self._machine.arm
-        distances = np.arange(_SAMPLE, farthest, _SAMPLE)
-        seed = tuple(start)
-        reached = 0.0
-        for distance in distances:
-            x, y, z, a, b, c = (float(value) for value in np.array(here) + direction * distance)
-            try:
-                best = arm.joints_from_program((x, y, z, a, b, c), seed).best
-            except Rm501Error:
-                break
-            if best is None or max(abs(p - q) for p, q in zip(best.q_deg, seed, strict=True)) > _LARGEST_STEP_DEG:
-                break
-            seed = best.q_deg
-            reached = float(distance)
-        return reached
-
-    def _line(
-        self, start: Sequence[float], here: Target6, step: np.ndarray[Any, np.dtype[np.float64]], feed: float
-    ) -> tuple[Piece, ...]:
-        goal = np.array(here) + step
-        x, y, z, a, b, c = (float(value) for value in goal)
-        move = LinearMove((x, y, z, a, b, c), Feed(feed), _SOURCE)
-        return tuple(Planner(self._machine.arm, self._machine.config, start).plan([move]))
-
-    def _tool_axis(self, start: Sequence[float], column: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """A column of the tool's rotation, turned into the program frame."""
-        machine = self._machine
-        tool = machine.arm.fk(np.array(start)).rotation[:, column]
-        axis: np.ndarray[Any, np.dtype[np.float64]] = machine.arm.frame.rotation.T @ tool
-        return axis
