@@ -77,10 +77,16 @@ class Segmenter:
     `start_steps48`: positions of the six motors (or the five of the arm) in 2^-48 step where motion stands now;
     `start_frame`: the motion frame (64 bits) from which segments go on. Both follow the segments that are yielded.
     `offsets`: how much of the positions is play taken up; those of the segment before where motion goes on in mid-run.
+    `start_speed`: (5,) in steps/frame, that of the segment before where motion goes on; else it is the ideal one.
     """
 
     def __init__(
-        self, config: Config, start_steps48: Sequence[int], start_frame: int, offsets: OffsetLaw = NO_OFFSETS
+        self,
+        config: Config,
+        start_steps48: Sequence[int],
+        start_frame: int,
+        offsets: OffsetLaw = NO_OFFSETS,
+        start_speed: Array | None = None,
     ) -> None:
         self._config = config
         self._motors = MotorMap(config)
@@ -90,6 +96,7 @@ class Segmenter:
         self._frame = start_frame
         self._guess = 64
         self._speed = np.zeros(5)
+        self._start_speed = start_speed
         self._slopes = Slopes(config, self._motors)
         self._events_ahead = EventsAhead()
         self._backlash = Backlash(self._motors.limits, self._frame_s, offsets)
@@ -134,6 +141,9 @@ class Segmenter:
                 elif self._backlash.is_needed:
                     _, offset_rates = self._backlash.law.at(np.array([float(run_frame)]))
                     self._speed += self._motors.steps(offset_rates)[0]
+                if self._start_speed is not None and not piece.starts_at_rest:
+                    self._speed = self._start_speed
+                self._start_speed = None
             samples.extend(piece)
             run.append(piece)
             self._events_ahead.add(piece, self._origin(piece, samples, run_frame), self._frame_s)
