@@ -432,9 +432,11 @@ class Core:
         self.release(causes)
 
     def session_opened(self) -> None:
-        """A host has connected: motion under way holds until a user resumes."""
+        """A host has connected: motion under way holds until a user resumes, a start that waits is forgotten."""
         if self.state in (BoardState.RUNNING, BoardState.HOLDING):
             self.hold(HoldCause.LINK_LOST)
+        elif self.state == BoardState.READY:
+            self.start_pending = 0
         self.reports |= Report.STATUS
 
     def shown_cause(self) -> int:
@@ -600,6 +602,8 @@ class Core:
         motion = self.motion
         stepgen = self.stepgen
         checker = self.checker
+        if keep == 0:
+            self.start_pending = 0
         end_frame = self.boundary(keep)
         queue.keep(keep, end_frame, motion.played)
         checker.rebuild(motion.motion_frame, self.hand.pending)

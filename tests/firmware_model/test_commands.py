@@ -231,6 +231,27 @@ def test_start_waits_until_the_queue_lets_it_stop_again() -> None:
     assert rig.state is BoardState.RUNNING  # the pending start
 
 
+def test_a_pending_start_is_forgotten_when_its_motion_is_dropped_or_its_session_is_over() -> None:
+    for dropped in (True, False):
+        rig = Rig()
+        first, second = cruise(rig)
+        first, second = (replace(part, hold_slope=100, stop_slope=100) for part in (first, second))
+        rig.send(replace(first, length_frames=2000), Start())
+        if dropped:
+            rig.send(Truncate(0))
+            assert rig.status().queue_used == 0
+            rig.send(replace(first, length_frames=2000))
+        else:
+            rig.host.connect(4321, rig.now_us)
+            rig.exchange()
+            rig.exchange()
+        rig.send(second)
+        rig.run(5)
+        assert (rig.state, rig.status().queue_used) == (BoardState.READY, 2)
+        rig.send(Start())
+        assert rig.state is BoardState.RUNNING
+
+
 def test_high_water_starts_by_itself_where_configured() -> None:
     config = replace(RM501_BOARD, link=replace(RM501_BOARD.link, high_water_frames=3000))
     rig = Rig(config)

@@ -13,6 +13,8 @@ from rm501_host.config import load_config
 from rm501_host.errors import Rm501Error, StoppedError
 from rm501_host.machine import Machine, MachineState, operations
 from rm501_host.virtual_time import run_virtual
+from rm501_protocol.enums import BoardState
+from rm501_sim_board.emu_transport import running_board, shut_down
 from tests.support.virtual_machine import ME, homed, running_service
 
 START = (0.0, 60.0, -60.0, 60.0, 0.0)
@@ -171,3 +173,40 @@ def test_shutting_down_brings_a_moving_arm_to_rest_with_motors_held(tmp_path: Pa
     virtual(scenario())
     record = (tmp_path / "position.json").read_text()
     assert '"dirty":false' in record
+
+
+def test_a_plug_pulled_while_a_motion_begins_leaves_nothing_behind(tmp_path: Path) -> None:
+    """Also between the segments and their start: what was queued then must not keep anybody from going on."""
+
+    async def scenario() -> None:
+        queued_at_rest = 0
+        async with running_service(tmp_path, "emu://begins?preset=ideal&seed=1") as service:
+            machine = service.machine
+            await homed(service)
+            await operations.move_joints(machine, ME, START).wait()
+            board = running_board("begins").board
+            for delay_ms in range(0, 48, 4):
+                job = operations.move_joints(machine, ME, NEXT)
+                await asyncio.sleep(delay_ms / 1000)
+                board.pull_plug()
+                with pytest.raises(StoppedError):
+                    await job.wait()
+                await asyncio.sleep(1.5)
+                board.put_plug_back()
+                async with asyncio.timeout(20):
+                    while not machine.connected:  # noqa: ASYNC110
+                        await asyncio.sleep(0.05)
+                status, steps = machine.board_status, machine.arm_state.steps
+                assert status is not None
+                queued_at_rest += status.state is BoardState.READY and status.queue_used > 0
+                await machine.reset(ME)
+                await asyncio.sleep(0.5)
+                assert machine.state is MachineState.IDLE
+                assert machine.arm_state.steps == steps
+                assert machine.arm_state.homed == (True,) * 5
+            await operations.move_joints(machine, ME, START).wait()
+            assert machine.arm_state.joints_deg == pytest.approx(START, abs=0.03)
+            shut_down("begins")
+        assert queued_at_rest > 0
+
+    virtual(scenario())
