@@ -56,5 +56,8 @@ class PlayOffsets:
 
     def cut_at(self, frame: int) -> None:
         """What was sent from this motion frame on is replaced; motion goes on from there."""
-        while self._sent and self._sent[-1].start_frame >= frame and len(self._sent) > 1:
-            self._sent.pop()
+        while self._sent and self._sent[-1].start_frame >= frame:
+            dropped = self._sent.pop()
+            if not self._sent:
+                # nothing is known before it: it began at rest
+                self.set(dropped.offsets.offsets_deg(dropped.start_frame))
