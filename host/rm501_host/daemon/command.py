@@ -19,7 +19,7 @@ from rm501_host.daemon.paths import socket_path, state_folder
 from rm501_host.daemon.serve import ServeOptions, serve
 from rm501_host.daemon.service import Folders
 from rm501_host.errors import Rm501Error
-from rm501_host.transports import open_transport
+from rm501_host.transports import SteadyPort
 
 
 @click.command("serve")
@@ -55,7 +55,7 @@ def serve_command(
     randomness = random.SystemRandom()
     url = context.port_url
     options = ServeOptions(
-        open_transport=lambda: open_transport(_with_baud(url, config.link.baud)),
+        open_transport=SteadyPort(_with_baud(url, config.link.baud)).open,
         nonce=lambda: randomness.getrandbits(32),
         utc=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"),
         folders=Folders(folder, programs or folder / "programs"),

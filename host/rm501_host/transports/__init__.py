@@ -9,5 +9,14 @@ from __future__ import annotations
 from .errors import PortError, TransportClosedError
 from .open import SCHEMES, open_transport
 from .port_watch import stable_path, wait_for_path
+from .steady_port import SteadyPort
 
-__all__ = ["SCHEMES", "PortError", "TransportClosedError", "open_transport", "stable_path", "wait_for_path"]
+__all__ = [
+    "SCHEMES",
+    "PortError",
+    "SteadyPort",
+    "TransportClosedError",
+    "open_transport",
+    "stable_path",
+    "wait_for_path",
+]

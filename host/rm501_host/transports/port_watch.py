@@ -8,15 +8,15 @@ import os
 import sys
 from pathlib import Path
 
-__all__ = ["stable_path", "wait_for_path"]
+__all__ = ["BY_ID", "stable_path", "wait_for_path"]
 
-_BY_ID = Path("/dev/serial/by-id")
+BY_ID = Path("/dev/serial/by-id")
 _IN_CREATE, _IN_MOVED_TO, _IN_ATTRIB = 0x100, 0x80, 0x4
 _NONBLOCK_CLOEXEC = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0) if hasattr(os, "O_NONBLOCK") else 0
 _FALLBACK_S = 0.5
 
 
-def stable_path(path: str, by_id: Path = _BY_ID) -> str:
+def stable_path(path: str, by_id: Path = BY_ID) -> str:
     """The name under `/dev/serial/by-id` of the device at `path`, which it keeps when replugged; `path` itself when
     it has none.
     """

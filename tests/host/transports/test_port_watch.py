@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rm501_host.transports import open_transport, port_watch, stable_path, wait_for_path
+from rm501_host.transports import PortError, SteadyPort, open_transport, port_watch, stable_path, wait_for_path
 from tests.host.transports.test_contract import Collector
 
 
@@ -78,3 +78,79 @@ async def test_a_board_that_was_unplugged_is_opened_again_by_its_stable_name(tmp
     await second.aclose()
     os.close(near)
     os.close(far)
+
+
+class PluggedIn:
+    """A pty under a device name."""
+
+    def __init__(self, device: Path) -> None:
+        self.device = device
+        self.near, self._far = pty.openpty()
+        tty.setraw(self._far)
+        device.symlink_to(os.ttyname(self._far))
+
+    def unplug(self) -> None:
+        self.device.unlink()
+        os.close(self.near)
+        os.close(self._far)
+
+
+async def test_a_board_that_comes_back_under_another_number_is_found_and_no_other_is_taken_for_it(
+    tmp_path: Path,
+) -> None:
+    by_id = tmp_path / "by-id"
+    by_id.mkdir()
+    # the lasting name leads to the numbered one, as udev has it
+    lasting = by_id / "usb-board"
+    board = PluggedIn(tmp_path / "ttyUSB0")
+    lasting.symlink_to(board.device)
+    port = SteadyPort(f"{board.device}?baud=115200", by_id)
+    first = await port.open()
+    assert port.name == str(lasting)
+    lost = Collector()
+    first.start(lost)
+    lasting.unlink()
+    board.unplug()
+    await lost.until(lambda: bool(lost.lost))
+    stranger = PluggedIn(tmp_path / "ttyUSB0")  # another device gets the number that is free now
+    async with asyncio.timeout(9), asyncio.TaskGroup() as group:
+        opening = group.create_task(port.open())
+        await asyncio.sleep(0.05)
+        assert not opening.done()
+        board = PluggedIn(tmp_path / "ttyUSB1")
+        lasting.symlink_to(board.device)
+        second = await opening
+    collector = Collector()
+    second.start(collector)
+    os.write(stranger.near, b"wrong")
+    os.write(board.near, b"right")
+    await collector.until(lambda: bytes(collector.data) == b"right")
+    assert second.bytes_per_second == 11_520
+    await second.aclose()
+    board.unplug()
+    stranger.unplug()
+
+
+async def test_a_port_that_never_was_there_is_refused_at_once_and_one_that_stays_away_after_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rm501_host.transports import steady_port
+
+    monkeypatch.setattr(steady_port, "_PATIENCE_S", 0.05)
+    port = SteadyPort(str(tmp_path / "ttyUSB0"))
+    with pytest.raises(PortError, match="no such port"):
+        await port.open()
+    board = PluggedIn(tmp_path / "ttyUSB0")
+    await (await port.open()).aclose()
+    board.unplug()
+    with pytest.raises(PortError, match="no such port"):
+        await port.open()
+
+
+async def test_other_kinds_of_ports_are_opened_as_they_are() -> None:
+    port = SteadyPort("emu://?seed=5")
+    transport = await port.open()
+    assert port.name == "emu://"
+    await transport.aclose()
+    with pytest.raises(PortError, match="unknown kind of port"):
+        await SteadyPort("nothing://x").open()
