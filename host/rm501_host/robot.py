@@ -83,6 +83,26 @@ class Robot:
         """Go straight to X Y Z A B C (mm, deg) of the program frame."""
         self._motion("move.linear", target=[float(value) for value in target], feed_mm_s=feed_mm_s)
 
+    def follow(
+        self,
+        points_deg: Sequence[Sequence[float]],
+        times_s: Sequence[float],
+        velocities_deg_s: Sequence[Sequence[float]] | None = None,
+        *,
+        stretch: bool = False,
+    ) -> dict[str, Any]:
+        """Follow joint angles (n, 5), deg, at times (n,), s, with velocities (n, 5), deg/s, or those of a spline.
+
+        Checked as a whole first; `stretch` slows a trajectory down that is too fast. Returns its `duration_s` and
+        what it was `slowed_by`.
+        """
+
+        async def work() -> dict[str, Any]:
+            started = await self._client.follow(points_deg, times_s, velocities_deg_s, stretch=stretch)
+            return await self._client.wait(started)
+
+        return self._run(work())
+
     def grip(self, action: Literal["open", "close"]) -> None:
         """Open or close the hand and wait for its stroke."""
         self._motion("hand", action=action)

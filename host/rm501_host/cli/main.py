@@ -31,10 +31,12 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "jog": ("rm501_host.client.commands:jog_command", "Move a joint or the tool by hand."),
     "mdi": ("rm501_host.client.commands:mdi_command", "Run one block of G-code."),
     "send": ("rm501_host.client.commands:send_command", "Run a program through the daemon."),
+    "follow": ("rm501_host.client.follow:follow_command", "Follow a timed joint trajectory from a file."),
     "hold": ("rm501_host.client.commands:hold_command", "Hold on the path."),
     "resume": ("rm501_host.client.commands:resume_command", "Go on after a hold."),
     "stop": ("rm501_host.client.commands:stop_command", "Stop on the path, motors off."),
     "abort": ("rm501_host.client.commands:abort_command", "End the program at rest, motors on."),
+    "limits": ("rm501_host.client.limits:limits_command", "Show or lower the limits in force."),
     "reset": ("rm501_host.client.commands:reset_command", "Clear a fault or a stop."),
     "gripper": ("rm501_host.client.commands:gripper_command", "Open or close the hand."),
     "teach": ("rm501_host.client.commands:teach_command", "Record, list and go to points."),
@@ -99,21 +101,24 @@ def run_command_line(arguments: Sequence[str] | None = None) -> ExitCode:
         result = cli.main(args=arguments, prog_name="rm501-host", standalone_mode=False)
     except click.exceptions.Exit as exit_request:
         return ExitCode(exit_request.exit_code)
-    except click.Abort:
+    except (click.Abort, KeyboardInterrupt):  # click turns Ctrl-C into Abort
+        click.echo("interrupted", err=True)
         return ExitCode.INTERRUPTED
     except BrokenPipeError:
         # whoever read our output went away (`| head`); what is left in the buffer has nowhere to go either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
-    except KeyboardInterrupt:
-        click.echo("interrupted", err=True)
-        return ExitCode.INTERRUPTED
     except click.ClickException as error:
         error.show()
         return ExitCode.USAGE
     except Rm501Error as error:
         click.echo(f"rm501-host: {error}", err=True)
         return exit_code_of(error)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        click.echo(f"rm501-host: {error.filename}: {error.strerror}; check the name and the folder's rights", err=True)
+        return ExitCode.REFUSED
     return result if isinstance(result, ExitCode) else ExitCode.OK
 
 

@@ -19,7 +19,7 @@ import asyncio
 import contextlib
 import itertools
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -30,12 +30,15 @@ from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedErr
 
 CALL_TIMEOUT_S = 10.0
 _LONG_S = 120.0
-_LONG_METHODS = frozenset({"program.run", "program.check", "mdi", "motion.wait"})
+_LONG_METHODS = frozenset({"program.run", "program.check", "mdi", "motion.wait", "move.trajectory"})
 """Planning a long program takes its time."""
 _WAIT_S = 20.0
 _MAX_LINE_BYTES = 8 * 1024 * 1024
 """Answers may be longer than requests: a log of 500 records."""
 _MAX_STATUSES = 1000
+_POINTS_A_CALL = 300
+"""Twice five numbers of 16 characters and a time each stay well below the 64 KiB of a message."""
+_DIGITS = 9
 _STOPPED, _NO_BOARD, _UNAUTHORIZED = -32012, -32013, -32001
 _START_IT = "start it: rm501-host serve (another --socket or RM501_SOCKET points elsewhere)"
 
@@ -127,6 +130,31 @@ class DaemonClient:
         started = await self.call(method, **params)
         return await self.wait(started, timeout_s)
 
+    async def follow(
+        self,
+        points_deg: Sequence[Sequence[float]],
+        times_s: Sequence[float],
+        velocities_deg_s: Sequence[Sequence[float]] | None = None,
+        *,
+        stretch: bool = False,
+    ) -> dict[str, Any]:
+        """Have a timed joint trajectory checked and started; sent in pieces when it is long. `wait` waits for its end.
+
+        `points_deg` (n, 5), `times_s` (n,), `velocities_deg_s` (n, 5) or None; as method `move.trajectory`.
+        """
+        answer: dict[str, Any] = {}
+        for first in range(0, max(1, len(times_s)), _POINTS_A_CALL):
+            piece = slice(first, first + _POINTS_A_CALL)
+            answer = await self.call(
+                "move.trajectory",
+                points_deg=_rounded(points_deg[piece]),
+                times_s=[round(float(time_s), _DIGITS) for time_s in times_s[piece]],
+                velocities_deg_s=None if velocities_deg_s is None else _rounded(velocities_deg_s[piece]),
+                stretch=stretch,
+                more=first + _POINTS_A_CALL < len(times_s),
+            )
+        return answer
+
     async def wait(self, started: dict[str, Any], timeout_s: float = 3600.0) -> dict[str, Any]:
         """Wait for the end of a motion that `call` gave; raises what ended it early."""
         async with asyncio.timeout(timeout_s):
@@ -187,6 +215,10 @@ class DaemonClient:
             answer.set_exception(_error(message["error"]))
         else:
             answer.set_result(message.get("result"))
+
+
+def _rounded(rows: Sequence[Sequence[float]]) -> list[list[float]]:
+    return [[round(float(value), _DIGITS) for value in row] for row in rows]
 
 
 async def connect(address: str, *, token: str | None = None, name: str = "client") -> DaemonClient:

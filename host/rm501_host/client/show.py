@@ -27,6 +27,13 @@ def status_lines(status: dict[str, Any]) -> list[str]:
         f"  board    {status['board_state'] or 'not connected'}, rate {status['rate']:.2f}, override "
         f"{status['override']:.2f}, queue {status['queue_lead_s']:.2f} s"
     )
+    if status["jog_damped"]:
+        lines.append("  jog      damped: near a singularity, slower and perhaps off its line")
+    if status["limits_reduced"]:
+        velocities = " ".join(f"{value:g}" for value in status["velocity_limits_deg_s"])
+        accelerations = " ".join(f"{value:g}" for value in status["acceleration_limits_deg_s2"])
+        tool = "" if status["tcp_limit_mm_s"] is None else f", tool {status['tcp_limit_mm_s']:g} mm/s"
+        lines.append(f"  limits   lowered: {velocities} deg/s, {accelerations} deg/s2{tool}")
     if status["program"]:
         lines.append(
             f"  program  {status['program']} line {status['line']}: {status['block'].strip()}  "

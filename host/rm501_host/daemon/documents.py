@@ -56,7 +56,7 @@ def api_document() -> str:
                 "|---|---|---|",
             ]
             for field in msgspec.structs.fields(method.params):
-                default = "required" if field.required else f"`{_json(field.default)}`"
+                default = "required" if field.required else f"`{_json(_default(field))}`"
                 lines.append(f"| {field.encode_name} | {_type(field.type)} | {default} |")
             lines.append("")
     lines += ["## Status\n", "| field | type | meaning |", "|---|---|---|"]
@@ -69,6 +69,11 @@ def api_document() -> str:
 def with_diagram(text: str) -> str:
     """`docs/operating.md` with the present diagram."""
     return _DIAGRAM.sub(lambda _: mermaid_diagram(), text)
+
+
+def _default(field: msgspec.structs.FieldInfo) -> object:
+    made = field.default_factory
+    return field.default if made is msgspec.NODEFAULT else made()
 
 
 def _json(value: object) -> str:

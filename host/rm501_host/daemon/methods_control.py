@@ -1,9 +1,14 @@
-"""Methods that guide the machine and a motion under way: stop, hold, reset, lease, resume, override."""
+"""Methods that guide the machine and a motion under way: stop, hold, reset, lease, resume, override, limits."""
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
 from rm501_host.daemon.access import Access
-from rm501_host.daemon.declared import Name, Params, Ratio, api
+from rm501_host.daemon.declared import Name, Number, Params, Ratio, api
 from rm501_host.daemon.rpc import NoParams
 from rm501_host.daemon.service import Client
 from rm501_protocol.link_events import StopKind
@@ -91,3 +96,49 @@ async def _override(client: Client, params: OverrideParams) -> object:
     """Feed override, at once and along the path. Above 1: give `program.run` a speed."""
     await client.machine.set_override(params.ratio, client.owner)
     return None
+
+
+class LimitsParams(Params, frozen=True):
+    """Velocities (deg/s) and accelerations (deg/s2) by the joint's name, and the tool's speed (mm/s); what is not named
+    stays. None can be above the configuration file's, nor below a hundredth of it.
+    """
+
+    velocity_deg_s: Annotated[dict[Name, Number], Meta(max_length=5)] = msgspec.field(default_factory=dict)
+    acceleration_deg_s2: Annotated[dict[Name, Number], Meta(max_length=5)] = msgspec.field(default_factory=dict)
+    tcp_speed_mm_s: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+
+
+LIMITS = '{"in_force": limits, "hard": limits}'
+
+
+def _limits(client: Client) -> dict[str, object]:
+    limits = client.machine.limits
+    return {"in_force": limits.in_force, "hard": limits.hard}
+
+
+@api.method("limits.get", NoParams, Access.READ, result=LIMITS)
+async def _limits_get(client: Client, params: NoParams) -> object:
+    """The limits in force, and those of the configuration file."""
+    return _limits(client)
+
+
+@api.method("limits.set", LimitsParams, Access.FULL, result=LIMITS)
+async def _limits_set(client: Client, params: LimitsParams) -> object:
+    """Lower the limits, from the next motion on; logged with old and new values. A restart forgets them."""
+    machine = client.machine
+    machine.lease.require_control(client.owner)
+    old = machine.limits.in_force
+    machine.limits.set(params.velocity_deg_s, params.acceleration_deg_s2, params.tcp_speed_mm_s)
+    machine.write_log("limits", who=client.owner.name, old=old, new=machine.limits.in_force)
+    return _limits(client)
+
+
+@api.method("limits.reset", NoParams, Access.FULL, result=LIMITS)
+async def _limits_reset(client: Client, params: NoParams) -> object:
+    """Back to the limits of the configuration file, from the next motion on."""
+    machine = client.machine
+    machine.lease.require_control(client.owner)
+    old = machine.limits.in_force
+    machine.limits.reset()
+    machine.write_log("limits", who=client.owner.name, old=old, new=machine.limits.in_force)
+    return _limits(client)

@@ -12,8 +12,12 @@ from rm501_host.daemon.declared import MOTION, Name, Number, Params, api, starte
 from rm501_host.daemon.rpc import NoParams
 from rm501_host.daemon.service import Client
 from rm501_host.machine import operations
+from rm501_host.machine.trajectories import TimedPoints, follow
 from rm501_host.machine.verify import verify
 from rm501_protocol.messages import SetOutputs
+
+Row = Annotated[tuple[Number, ...], Meta(min_length=5, max_length=5)]
+Seconds = Annotated[float, Meta(ge=0, le=86_400)]
 
 
 class WaitParams(Params, frozen=True):
@@ -78,9 +82,37 @@ async def _move_linear(client: Client, params: LinearParams) -> object:
     return started(operations.move_linear(client.machine, client.owner, params.target, params.feed_mm_s))
 
 
+class TrajectoryParams(Params, frozen=True):
+    """Points of five joints, deg; when each is reached, s, rising from 0 or later; velocities there, deg/s (null: those
+    of a spline). A first point at time 0 must be where the arm is, the last velocity 0. `stretch` slows a trajectory
+    down that is too fast, by the least that makes it legal. `more` keeps the points and waits for the next call to
+    add to them: a message holds some 600 points.
+    """
+
+    points_deg: Annotated[tuple[Row, ...], Meta(min_length=1, max_length=5000)]
+    times_s: Annotated[tuple[Seconds, ...], Meta(min_length=1, max_length=5000)]
+    velocities_deg_s: Annotated[tuple[Row, ...], Meta(max_length=5000)] | None = None
+    stretch: bool = False
+    more: bool = False
+
+
+@api.method("move.trajectory", TrajectoryParams, Access.FULL, result='{"motion": int} or {"points": int}')
+async def _move_trajectory(client: Client, params: TrajectoryParams) -> object:
+    """Follow joint angles that are timed from outside; checked as a whole before anything moves."""
+    kept, client.trajectory = client.trajectory, None
+    timed = TimedPoints(params.points_deg, params.times_s, params.velocities_deg_s)
+    timed = timed if kept is None else kept.extended(timed)
+    if params.more:
+        client.machine.lease.require(client.owner)
+        client.trajectory = timed
+        return {"points": len(timed.times_s)}
+    return started(await follow(client.machine, client.owner, timed, stretch=params.stretch))
+
+
 class JogParams(Params, frozen=True):
     """Frame and axis (joint: waist shoulder elbow pitch roll; world: x y z a b c; tool: x y z); speed in deg/s or mm/s,
-    signed; distance in deg or mm, null: until `jog.end`, or until nobody calls `jog.keep` for 200 ms.
+    signed; distance in deg or mm, null: until `jog.end`, or until nobody calls `jog.keep` for 200 ms. The motion's
+    result: `ended` (why the way ends), `damped`, `deviation_mm`, `joints_deg`.
     """
 
     frame: Literal["joint", "world", "tool"]
@@ -91,7 +123,7 @@ class JogParams(Params, frozen=True):
 
 @api.method("jog.start", JogParams, Access.FULL, result=MOTION)
 async def _jog_start(client: Client, params: JogParams) -> object:
-    """Start a jog. It goes as far as the limits allow and no farther."""
+    """Start a jog. It goes as far as the limits allow and no farther, through singularities damped."""
     return started(
         client.service.jogger.start(client.owner, params.frame, params.axis, params.speed, distance=params.distance)
     )

@@ -19,6 +19,7 @@ from rm501_host.machine.program_files import ProgramFiles
 from rm501_host.machine.programs import Programs
 from rm501_host.machine.snapshot import snapshot
 from rm501_host.machine.status import MachineStatus, status_diff
+from rm501_host.machine.trajectories import TimedPoints
 from rm501_host.teach import TeachFile
 
 SHORTEST_PERIOD_S = 0.02
@@ -60,7 +61,7 @@ class Service:
 
     def status(self) -> MachineStatus:
         """The status now."""
-        return snapshot(self.machine, self.programs, self._loop.time())
+        return snapshot(self.machine, self.programs, self._loop.time(), jog_damped=self.jogger.is_damped)
 
     def connect(self, name: str, access: Access, send: Callable[[bytes], None], unsent: Callable[[], int]) -> Client:
         """A client has come; raises ConnectionRefusedError when there are too many."""
@@ -90,6 +91,8 @@ class Client:
         self.access = access
         self.send = send
         """Sends a message to this client; never blocks."""
+        self.trajectory: TimedPoints | None = None
+        """Points of a trajectory whose rest is still to come."""
         self._unsent = unsent
         self._rate = RateLimit(service.clock_s)
         self._timer: asyncio.TimerHandle | None = None

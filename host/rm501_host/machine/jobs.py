@@ -24,6 +24,7 @@ class JobKind(Enum):
     MDI = "mdi"
     PROGRAM = "program"
     HAND = "hand"
+    TRAJECTORY = "trajectory"
 
     @property
     def mode(self) -> Mode:

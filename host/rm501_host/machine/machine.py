@@ -31,6 +31,7 @@ from rm501_host.machine.arm_state import ArmState
 from rm501_host.machine.board_port import BoardPort
 from rm501_host.machine.jobs import Job, JobBook, JobKind
 from rm501_host.machine.lease import MotionLease, Owner
+from rm501_host.machine.limits import RuntimeLimits
 from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe, next_state
 from rm501_host.motion import MotionStream
 from rm501_host.session import BoardRefusedError, BoardSession
@@ -79,7 +80,7 @@ class Machine:
     """See the module's text. Make it inside the running loop, then run `run` in a task group."""
 
     def __init__(self, config: Config, parts: MachineParts) -> None:
-        self.config = config
+        self.limits = RuntimeLimits(config)
         self.arm = Arm.from_config(config)
         self.lease = MotionLease()
         self.jobs = JobBook()
@@ -135,6 +136,11 @@ class Machine:
             self._abort_now(session)
             async with asyncio.timeout(_REST_TIMEOUT_S):
                 await self.job.done.wait()
+
+    @property
+    def config(self) -> Config:
+        """The configuration with the limits in force, for planning; `limits.file` is the file's."""
+        return self.limits.config
 
     @property
     def session(self) -> BoardSession:
@@ -446,7 +452,7 @@ class Machine:
         )
 
     async def _power_on(self, session: BoardSession) -> None:
-        stream = MotionStream(session, self.config)
+        stream = MotionStream(session, self.limits.file)
         old, self.stream = self.stream, None
         if old is not None:
             with contextlib.suppress(ValueError):

@@ -55,12 +55,13 @@ class ProgramView(Protocol):
         ...
 
 
-def snapshot(machine: Machine, program: ProgramView, time_s: float) -> MachineStatus:
+def snapshot(machine: Machine, program: ProgramView, time_s: float, *, jog_damped: bool = False) -> MachineStatus:
     """The status now."""
     status = machine.board_status
     arm = machine.arm_state
     cause = machine.cause
     homed = arm.homed
+    limits = machine.limits.in_force
     queue_lead_s = 0.0
     if status is not None and status.queue_used:
         frames = (status.queue_end_frame - status.motion_frame) & _FRAME_MASK
@@ -90,6 +91,11 @@ def snapshot(machine: Machine, program: ProgramView, time_s: float) -> MachineSt
         power=status is not None and status.power,
         rate=0.0 if status is None else round(status.rate / RATE_ONE, 4),
         override=machine.override,
+        jog_damped=jog_damped,
+        limits_reduced=machine.limits.are_reduced,
+        velocity_limits_deg_s=limits.velocity_deg_s,
+        acceleration_limits_deg_s2=limits.acceleration_deg_s2,
+        tcp_limit_mm_s=limits.tcp_speed_mm_s,
         queue_used=0 if status is None else status.queue_used,
         queue_lead_s=round(queue_lead_s, 3),
         program=program.name,

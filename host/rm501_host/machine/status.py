@@ -21,7 +21,7 @@ class MachineStatus(msgspec.Struct, frozen=True, kw_only=True):
     remedy: str
     """What to do about it."""
     activity: str
-    """What moves or moved last: home, jog, move, mdi, program, hand, or nothing."""
+    """What moves or moved last: home, jog, move, trajectory, mdi, program, hand, or nothing."""
     motion_id: int
     """Number of that motion."""
     owner: str
@@ -47,6 +47,14 @@ class MachineStatus(msgspec.Struct, frozen=True, kw_only=True):
     rate: float
     """1: motion time runs as fast as real time, 0: at rest."""
     override: float
+    jog_damped: bool
+    """A jog passes a singularity: more slowly, and perhaps off its line."""
+    limits_reduced: bool
+    """Limits have been lowered by `limits.set`: the next three are what holds for the next motion."""
+    velocity_limits_deg_s: tuple[float, ...]
+    acceleration_limits_deg_s2: tuple[float, ...]
+    tcp_limit_mm_s: float | None
+    """None: the tool's speed is not limited in programs (jogs keep the teach speed)."""
     queue_used: int
     queue_lead_s: float
     """Motion time queued on the board."""
