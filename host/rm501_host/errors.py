@@ -8,6 +8,7 @@ Rm501Error
     ├── GcodeError       gcode
     ├── PlanError        planner: unreachable, out of limits, singular
     └── RefusedError     session: the board refused, not homed, configuration differs
+        └── ProgramRefusedError  a program that runs came to what may not be played: the arm stands at rest before it
 """
 
 
@@ -25,3 +26,7 @@ class StoppedError(Rm501Error):
 
 class RefusedError(Rm501Error):
     """Asked for something that cannot be done now; nothing moved."""
+
+
+class ProgramRefusedError(RefusedError):
+    """A program that was running came to a place that may not be played; the arm has come to rest before it."""

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rm501_host.config import Config
 from rm501_host.gcode.canon import Signal
 from rm501_host.gcode.errors import GcodeUnsupportedError, Location
 from rm501_host.gcode.interpreter import Interpreter
-from rm501_host.gcode.program_log import ProgramLog
-from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve
+from rm501_host.gcode.program_log import LogNote
+from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve, source_of
 from rm501_host.gcode.settings import Settings
 from rm501_host.gcode.source import FileLines
 from rm501_host.gcode.user_m import find_user_m, run_user_m
 from rm501_host.kinematics import Arm
 from rm501_host.moves import JointMove, Move, OutputChange, ToolChange
+from rm501_host.planner.pieces import Action
 
 JointPosition = Callable[[], Sequence[float]]
 """Gives the joints (5,) in deg at the end of the moves taken so far."""
@@ -31,12 +33,11 @@ _SIGNALS = {
 
 
 def program_settings(config: Config, program: Path, *, start_line: int = 1) -> Settings:
-    """How `config` wants programs read: subroutines beside the program, its M codes, its block budget."""
+    """How `config` wants programs read: subroutines beside the program, its M codes."""
     return Settings(
         subroutine_path=(program.resolve().parent,),
         user_m=find_user_m(m_codes_folder(config)),
         start_line=start_line,
-        max_blocks=config.preflight.max_blocks,
     )
 
 
@@ -66,14 +67,14 @@ def read_moves(
     settings: Settings | None = None,
     *,
     config: Config | None = None,
-    log: ProgramLog | None = None,
-) -> Iterator[Move | ExternalAction]:
+    with_notes: bool = False,
+) -> Iterator[Move | Action]:
     """The moves of a program, read as they are taken.
 
     `joints_deg` is asked before the first line, after every joint move and every change of the tool, so that words
     that a block leaves out have their true values. `config` gives the settings (unless `settings` are given) and the
-    outputs; `log` carries out the program's log comments. Raises GcodeError naming file and line; GcodeFileError when
-    the file cannot be read as text.
+    outputs; `with_notes`: log comments come as `LogNote` between the moves, long silence as `StillReading`. Raises
+    GcodeError naming file and line; GcodeFileError when the file cannot be read as text.
     """
     source = FileLines.open(program)
 
@@ -87,10 +88,11 @@ def read_moves(
             settings = Settings(subroutine_path=(folder,)) if config is None else program_settings(config, program)
         interpreter = Interpreter(source, settings, on_warning=warn)
         options = ResolveOptions(
-            outputs={} if config is None else output_map(config),
-            on_log=log,
-            on_warning=lambda text, at: warn(f"{at}: {text}"),
+            outputs={} if config is None else output_map(config), on_warning=lambda text, at: warn(f"{at}: {text}")
         )
+        notes: list[LogNote] = []
+        if with_notes:
+            options = noting(options, notes)
         resolver = Resolver(options)
 
         def stand() -> None:
@@ -99,7 +101,7 @@ def read_moves(
             resolver.set_position(position)
 
         stand()
-        for move in resolve(interpreter.calls(), options, resolver=resolver):
+        for move in with_notes_between(resolve(interpreter.calls(), options, resolver=resolver), notes):
             if isinstance(move, OutputChange) and config is not None:
                 _check_output(move, len(config.board.digital_outputs))
             yield move
@@ -109,8 +111,21 @@ def read_moves(
                 stand()
     finally:
         source.close()
-        if log is not None:
-            log.close()
+
+
+def noting(options: ResolveOptions, notes: list[LogNote]) -> ResolveOptions:
+    """`options` that put log comments into `notes` and tell of long silence; for `with_notes_between`."""
+    return replace(options, on_log=lambda call: notes.append(LogNote(call, source_of(call.at))), tells_silence=True)
+
+
+def with_notes_between(moves: Iterable[Move | Action], notes: list[LogNote]) -> Iterator[Move | Action]:
+    """The moves with the notes that reading them made, at their places."""
+    for move in moves:
+        if notes:
+            yield from notes
+            notes.clear()
+        yield move
+    yield from notes
 
 
 def _check_output(move: OutputChange, fitted: int) -> None:

@@ -1,36 +1,166 @@
-"""A program, checked as a whole and planned: at once when it is short, ahead of the motion when it is long.
+"""A program checked and planned: what may be known before the start, the rest ahead of the motion.
 
-The preflight looks at every move first, to the end of the program or as far as it can be known. What it finds refuses
-the program with all its errors. A program of up to `EAGER_MOVES` moves is then planned to its end before anything
-else happens; a longer one is planned piece by piece while the arm moves, as far ahead as the board's queue asks for,
-with bounded memory.
+    read_moves ─► RollingCheck ─► Planner ─► pieces, with the log comments between them
+
+The preflight looks at every move first, to the end of the program or as far as it can be known (`[preflight]
+max_blocks`). What it finds refuses the program with all its errors. A program of up to `EAGER_MOVES` moves is then
+planned to its end before anything else happens; a longer one is planned piece by piece while the arm moves, as far
+ahead as the board's queue asks for, with bounded memory. The program is read once: what was checked is what is played.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from rm501_host.config import Config
-from rm501_host.errors import RefusedError
-from rm501_host.gcode.errors import GcodeLimitError
-from rm501_host.gcode.program_log import ProgramLog
+from rm501_host.errors import ProgramRefusedError, RefusedError
+from rm501_host.gcode.program_log import LogNote, ProgramLog
 from rm501_host.kinematics import Arm
-from rm501_host.planner import Piece, Planner
-from rm501_host.preflight import PreflightReport, ProgramCheck
+from rm501_host.moves import Move, Source
+from rm501_host.planner import Piece, PieceKind, PlanError, Planner
+from rm501_host.planner.pieces import Action
+from rm501_host.preflight import PreflightReport, ProgramCheck, ProgramFault, RollingCheck
 from rm501_host.program import read_moves
 
 EAGER_MOVES = 5_000
 """Planned in a second or two of CPU; more would keep the operator waiting."""
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedProgram:
-    """What the preflight said, and the pieces: a tuple when planned to the end, a stream otherwise."""
+class PlannedProgram:
+    """A program that may be started: `pieces` to play once, `preflight` as it was before the start.
 
-    preflight: PreflightReport
-    pieces: tuple[Piece, ...] | Iterator[Piece]
+    `start` has to be called first. `checked_to_line` and `is_complete` follow the check as it rolls on.
+    """
+
+    def __init__(self, rolling: RollingCheck, check: ProgramCheck, planner: Planner) -> None:
+        self._rolling = rolling
+        self._check = check
+        self._planner = planner
+        self._planned: tuple[Piece, ...] | None = None
+        self._planned_s = 0.0
+        self._planned_motion_s = 0.0
+        self.preflight = PreflightReport((), 0, False, "not checked yet", 0)
+
+    def start(self) -> None:
+        """Check as far as may be before the start, and plan a short program to its end.
+
+        Raises GcodeError and PlanError naming file and line, RefusedError with every error of the preflight.
+        """
+        self.preflight = report = self._rolling.before_start()
+        if not report.ok:
+            raise RefusedError("\n".join(str(finding) for finding in report.errors))
+        if report.complete and report.moves <= EAGER_MOVES:
+            self._planned = tuple(self._count(self._with_notes()))
+
+    @property
+    def is_planned(self) -> bool:
+        """Whether it has been planned to its end."""
+        return self._planned is not None
+
+    @property
+    def moves_anything(self) -> bool:
+        """Whether something in it moves, as far as is known."""
+        return self._planned is None or any(piece.motion_s for piece in self._planned)
+
+    @property
+    def checked_to_line(self) -> int:
+        """The highest line that has been checked."""
+        return self._rolling.checked_to_line
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all of it has been checked."""
+        return self._rolling.is_complete
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes: exact where it is planned, else an estimate of what has been read so far.
+
+        The estimate takes the moves at their feeds and the joints' rates, and once some are planned, it takes all to
+        be like those.
+        """
+        if self._planned is not None:
+            return self._planned_s
+        taken, read = self._rolling.taken, self._rolling.checked
+        if self._planned_s > 0.0 and taken > 0:
+            return max(self._planned_s, self._planned_s * read / taken)
+        return self._check.nominal_s
+
+    @property
+    def motion_s(self) -> float:
+        """As `duration_s`, without dwells and hand strokes."""
+        return self._planned_motion_s if self._planned is not None else self.duration_s
+
+    def pieces(self) -> Iterator[Piece]:
+        """The pieces, once: planned before, or as they are taken.
+
+        Marks and `NOTE`s apart they are the plan; a fault on the way ends them with a mark at rest.
+        """
+        if self._planned is not None:
+            return iter(self._planned)
+        return self._count(self._faults_at_rest(self._with_notes()))
+
+    def close(self) -> None:
+        """Stop reading the program."""
+        self._rolling.close()
+
+    def _count(self, pieces: Iterator[Piece]) -> Iterator[Piece]:
+        for piece in pieces:
+            self._planned_s += piece.duration_s
+            self._planned_motion_s += piece.motion_s
+            yield piece
+
+    def _with_notes(self) -> Iterator[Piece]:
+        """The plan, each log comment behind the piece in which the move before it ends."""
+        notes: deque[tuple[LogNote, Source | None]] = deque()
+        last: Source | None = None
+
+        def moves() -> Iterator[Move | Action]:
+            nonlocal last
+            for move in self._rolling:
+                if isinstance(move, LogNote):
+                    notes.append((move, last))
+                else:
+                    last = move.source
+                    yield move
+
+        for piece in self._planner.plan(moves()):
+            while notes and notes[0][1] is None:
+                yield self._note(notes.popleft()[0], None)
+            yield piece
+            while notes and (piece.ends_at_rest or _is_in(notes[0][1], piece)):
+                yield self._note(notes.popleft()[0], piece)
+        for note, _ in notes:
+            yield self._note(note, None)
+
+    def _note(self, note: LogNote, after: Piece | None) -> Piece:
+        rest = tuple(self._planner.q_deg.tolist()) if after is None else after.rest_deg
+        start_s = 0.0 if after is None else after.end_s
+        return Piece(PieceKind.NOTE, note.source, start_s, 0.0, rest, move=note)
+
+    def _faults_at_rest(self, pieces: Iterator[Piece]) -> Iterator[Piece]:
+        """A plan that fails on the way comes to rest first, then says why by a mark."""
+        last: Piece | None = None
+        try:
+            for piece in pieces:
+                last = piece
+                yield piece
+        except PlanError as error:
+            for piece in self._planner.come_to_rest():
+                last = piece
+                yield piece
+            text = f"{error}\nthe program was running; the arm stands at rest on its path before that place"
+            source = error.source or Source("(program)", 0)
+            rest = last.rest_deg if last is not None else tuple(self._planner.q_deg.tolist())
+            fault = ProgramFault(ProgramRefusedError(text), source)
+            yield Piece(PieceKind.MARK, source, 0.0, 0.0, rest, move=fault)
+
+
+def _is_in(source: Source | None, piece: Piece) -> bool:
+    table = getattr(piece.law, "table", None)
+    return table is not None and any(element.source is source for element in table.elements)
 
 
 def check_and_plan(
@@ -39,26 +169,30 @@ def check_and_plan(
     config: Config,
     start_deg: tuple[float, ...],
     on_warning: Callable[[str], None] | None = None,
-) -> CheckedProgram:
+) -> PlannedProgram:
     """Check `program` from joints `start_deg` (5,) and plan it.
 
     Raises GcodeError and PlanError naming file and line, RefusedError with every error of the preflight, or where
     nothing moves.
     """
     check = ProgramCheck(arm, config, start_deg)
-    checked_moves = read_moves(program, arm, lambda: check.q_deg.tolist(), on_warning, config=config)
-    report = check.run(checked_moves, estimate=False, limit_error=GcodeLimitError)
-    if not report.ok:
-        raise RefusedError("\n".join(str(finding) for finding in report.errors))
+    moves = read_moves(program, arm, lambda: check.q_deg.tolist(), on_warning, config=config, with_notes=True)
+    rolling = RollingCheck(check, moves, config.preflight.max_blocks, on_warning)
+    planned = PlannedProgram(rolling, check, Planner(arm, config, start_deg))
+    planned.start()
     if on_warning is not None:
-        for finding in report.findings:
+        for finding in planned.preflight.findings:
             on_warning(str(finding))
-    planner = Planner(arm, config, start_deg)
-    log = ProgramLog(program.resolve().parent, on_warning or (lambda text: None))
-    pieces = planner.plan(read_moves(program, arm, lambda: planner.q_deg.tolist(), config=config, log=log))
-    if not report.complete or report.moves > EAGER_MOVES:
-        return CheckedProgram(report, pieces)
-    planned = tuple(pieces)
-    if not any(piece.motion_s for piece in planned):
+    if not planned.moves_anything:
         raise RefusedError(f"{program}: nothing in it moves; is it the right file?")
-    return CheckedProgram(report, planned)
+    return planned
+
+
+def carry_out_notes(pieces: Iterator[Piece], log: ProgramLog) -> Iterator[Piece]:
+    """The pieces without their notes: each log comment is written when what comes after it is about to be sent."""
+    for piece in pieces:
+        if piece.kind is PieceKind.NOTE:
+            assert isinstance(piece.move, LogNote)
+            log(piece.move.call)
+        else:
+            yield piece

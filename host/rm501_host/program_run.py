@@ -18,15 +18,17 @@ from typing import Protocol
 
 from rm501_host.config import Config
 from rm501_host.config.board import board_config_from
-from rm501_host.errors import RefusedError, Rm501Error, StoppedError
+from rm501_host.errors import ProgramRefusedError, RefusedError, Rm501Error, StoppedError
+from rm501_host.gcode.program_log import ProgramLog
 from rm501_host.gcode.resolve import ExternalAction
 from rm501_host.gcode.user_m import UserMCodeError
 from rm501_host.kinematics import Arm
 from rm501_host.motion import Homing, MotionStream, PieceRuns, Progress
 from rm501_host.moves import Message, Pause, ProgramEnd
 from rm501_host.planner import Piece, Plan
+from rm501_host.preflight import ProgramFault
 from rm501_host.program import run_external
-from rm501_host.program_plan import CheckedProgram, check_and_plan
+from rm501_host.program_plan import PlannedProgram, carry_out_notes, check_and_plan
 from rm501_host.report import RunReport, WireFigures
 from rm501_host.session import BoardSession, open_session
 from rm501_host.session.board_session import Notice, WireTap
@@ -79,10 +81,11 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
     """Run `program` to its end; raises what refuses it before anything moves, returns what ended it later."""
     arm = Arm.from_config(config)
     session: BoardSession | None = None
+    planned: PlannedProgram | None = None
     try:
         if options.home:
             watcher.phase("planning")
-            checked = check_and_plan(program, arm, config, config.home_deg, watcher.message)
+            planned = check_and_plan(program, arm, config, config.home_deg, watcher.message)
             session = await _connect(config, options, watcher)
         else:
             session = await _connect(config, options, watcher)
@@ -92,9 +95,11 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
                     "on which side of its play each joint stands is not known: angles may be off by half the play "
                     "until each has moved by as much"
                 )
-            checked = check_and_plan(program, arm, config, _trusted_position(session, arm), watcher.message)
-        return await _play(program, checked, session, arm, config, options, watcher)
+            planned = check_and_plan(program, arm, config, _trusted_position(session, arm), watcher.message)
+        return await _play(program, planned, session, arm, config, options, watcher)
     finally:
+        if planned is not None:
+            planned.close()
         if session is not None:
             await session.aclose()
 
@@ -124,7 +129,7 @@ def _trusted_position(session: BoardSession, arm: Arm) -> tuple[float, ...]:
 
 async def _play(
     program: Path,
-    checked: CheckedProgram,
+    planned: PlannedProgram,
     session: BoardSession,
     arm: Arm,
     config: Config,
@@ -137,28 +142,32 @@ async def _play(
     error: Rm501Error | None = None
     began_s, wall_began_s = loop.time(), wall_clock_s()
     session.add_listener(_HoldTeller(watcher))
+    log = ProgramLog(program.parent, watcher.message)
     try:
         stream = MotionStream(session, config, someone_resumes=False)
         await stream.prepare()
         if options.home:
             await Homing(stream, arm, config).home_all(lambda joint: watcher.phase(f"homing {joint}"))
         watcher.phase("running")
-        runs = PieceRuns(figures.of_pieces(checked.pieces))
+        pieces = carry_out_notes(planned.pieces(), log)
+        runs = PieceRuns(figures.of_pieces(pieces))
         while True:
             if await loop.run_in_executor(None, runs.peek):
                 await stream.play(runs.until_mark(), watcher.progress, on_segment=figures.add_segment)
             if runs.mark is None or not await _act(runs.mark, config, watcher):
                 break
-    except StoppedError as stopped:
-        error = stopped
+    except (StoppedError, ProgramRefusedError) as ended:
+        error = ended
     except asyncio.CancelledError:
         watcher.message(await _hold_and_leave(session))
         raise
+    finally:
+        log.close()
     took_s, wall_s = loop.time() - began_s, wall_clock_s() - wall_began_s
     stats = session.link.stats
     report = RunReport(
         program=str(program),
-        result="ok" if error is None else "stopped",
+        result="ok" if error is None else "stopped" if isinstance(error, StoppedError) else "refused",
         cycle_s=round(figures.cycle_s, 6),
         motion_s=round(figures.motion_s, 6),
         segments=figures.segments,
@@ -178,6 +187,8 @@ async def _act(mark: Piece, config: Config, watcher: Watcher) -> bool:
             watcher.message(text)
         case ProgramEnd():
             return False
+        case ProgramFault(error=error):
+            raise error
         case ExternalAction() as action:
             try:
                 await asyncio.get_running_loop().run_in_executor(None, run_external, config, action)

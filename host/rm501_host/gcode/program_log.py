@@ -1,13 +1,27 @@
-"""(LOGOPEN, name), (LOGAPPEND, name), (LOG, text), (LOGCLOSE), (PRINT, text): files in one folder, never outside it."""
+"""(LOGOPEN, name), (LOGAPPEND, name), (LOG, text), (LOGCLOSE), (PRINT, text): files in one folder, never outside it.
+
+A program is read far ahead of the motion, so its log comments travel with its moves (`LogNote`) and are carried out
+when their turn comes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, TextIO
 
 from rm501_host.gcode import canon as c
 from rm501_host.gcode.errors import GcodeFileError
+from rm501_host.moves import Source
+
+
+@dataclass(frozen=True, slots=True)
+class LogNote:
+    """A log comment on its way with the moves."""
+
+    call: c.CanonCall
+    source: Source
 
 
 class ProgramLog:

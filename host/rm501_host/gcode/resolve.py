@@ -30,7 +30,15 @@ class ExternalAction:
     source: mv.Source
 
 
-ResolvedMove = mv.Move | ExternalAction
+@dataclass(frozen=True, slots=True)
+class StillReading:
+    """The program has been read for another so many blocks without a move."""
+
+    blocks: int
+    source: mv.Source
+
+
+ResolvedMove = mv.Move | ExternalAction | StillReading
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +50,8 @@ class ResolveOptions:
     on_log: Callable[[c.CanonCall], None] | None = None
     """Takes LogCall, PrintText and LOGCLOSE."""
     on_warning: Callable[[str, Location], None] | None = None
+    tells_silence: bool = False
+    """Whether long silent stretches yield `StillReading`, so that whoever reads can stop."""
     max_silent_heartbeats: int = 1000
     """Heartbeats in a row before a program counts as looping for ever: ten million blocks without a move."""
 
@@ -78,7 +88,7 @@ class Resolver:
     """Turns calls into moves one by one; `feed(call)` returns the moves of a call (mostly none or one)."""
 
     def __init__(self, options: ResolveOptions | None = None) -> None:
-        self._options = options or ResolveOptions()
+        self.options = options or ResolveOptions()
         self._mm = 1.0
         self._g5x = self._g92 = _ZERO
         self._rotation_deg = 0.0
@@ -291,7 +301,7 @@ class Resolver:
                 self._exchange = False
                 pause = mv.PauseKind.EXCHANGE
             return (mv.Pause(pause, source),)
-        output = self._options.outputs.get(signal)
+        output = self.options.outputs.get(signal)
         if output is not None:
             return (mv.OutputChange(output[0], output[1], False, source),)
         code = _NEED_OUTPUT.get(signal)
@@ -299,17 +309,17 @@ class Resolver:
             raise GcodeUnsupportedError(
                 f"{code} has no output configured", f"Configure an output for {code}, or use M64 and M65."
             )
-        if signal in _OVERRIDES and self._options.on_warning is not None:
-            self._options.on_warning(f"no effect: {_OVERRIDES[signal]}", call.at)
+        if signal in _OVERRIDES and self.options.on_warning is not None:
+            self.options.on_warning(f"no effect: {_OVERRIDES[signal]}", call.at)
         if signal is c.Signal.LOG_CLOSE:
             self._log(call)
         return ()
 
     def _log(self, call: c.CanonCall) -> None:
-        if self._options.on_log is not None:
-            self._options.on_log(call)
-        elif self._options.on_warning is not None:
-            self._options.on_warning("log and print comments go nowhere here", call.at)
+        if self.options.on_log is not None:
+            self.options.on_log(call)
+        elif self.options.on_warning is not None:
+            self.options.on_warning("log and print comments go nowhere here", call.at)
 
 
 def _user_move(call: c.UserMCode, source: mv.Source) -> ResolvedMove:
@@ -328,7 +338,7 @@ def resolve(
     `resolver`: one made with the same options, for whoever has to tell it positions.
     """
     resolver = resolver or Resolver(options)
-    most = (options or ResolveOptions()).max_silent_heartbeats
+    most = resolver.options.max_silent_heartbeats
     silent = 0
     for call in calls:
         if isinstance(call, c.Heartbeat):
@@ -339,6 +349,8 @@ def resolve(
                 )
                 error.location = call.at
                 raise error
+            if resolver.options.tells_silence:
+                yield StillReading(call.blocks, source_of(call.at))
             continue
         silent = 0
         yield from resolver.feed(call)

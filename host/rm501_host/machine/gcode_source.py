@@ -19,13 +19,15 @@ from rm501_host.errors import RefusedError
 from rm501_host.gcode.canon import Axes, CanonCall, OperatorMessage, Units
 from rm501_host.gcode.context import ProbeResult
 from rm501_host.gcode.interpreter import Interpreter, Settings
-from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve
+from rm501_host.gcode.program_log import LogNote
+from rm501_host.gcode.resolve import ResolveOptions, Resolver, StillReading, resolve
 from rm501_host.gcode.source import FileLines
 from rm501_host.gcode.tools import ToolTable, load_tool_table
 from rm501_host.gcode.user_m import find_user_m
 from rm501_host.kinematics import Arm
 from rm501_host.moves import JointMove, Message, Move, Pause, ProgramEnd, Source, ToolChange
-from rm501_host.program import m_codes_folder, output_map
+from rm501_host.planner.pieces import Action
+from rm501_host.program import m_codes_folder, noting, output_map, with_notes_between
 from rm501_host.storage import write_atomic
 from rm501_host.teach import TeachFile
 
@@ -68,6 +70,11 @@ class Surroundings:
     def variables(self) -> Path:
         """The variable file."""
         return self.folder / "rm501.var"
+
+    @property
+    def logs(self) -> Path:
+        """Where log comments of programs may write."""
+        return self.folder / "logs"
 
     @property
     def tool_file(self) -> Path:
@@ -128,35 +135,54 @@ class Surroundings:
             write_atomic(path, text.encode())
 
 
-def program_moves(
-    path: Path, arm: Arm, joints_deg: Joints, around: Surroundings, *, start_line: int, max_blocks: int, step: bool
-) -> Iterator[Move | ExternalAction]:
-    """The moves of a program file, read as they are taken; raises GcodeError and its kin naming file and line.
+class ProgramReader:
+    """Reads a program file once, from `start_line`; `step`: with a STEP_MARK message after every block that moves."""
 
-    `step`: a STEP_MARK message after every block that moves.
-    """
-    source = FileLines.open(path, path.name)
-    try:
-        interpreter = around.interpreter(source, arm, around.settings(start_line=start_line, max_blocks=max_blocks))
-        options = around.resolve_options()
-        resolver = Resolver(options)
-        _stand(interpreter, resolver, arm, joints_deg)
-        last: Source | None = None
-        tool = arm
-        for move in resolve(interpreter.calls(), options, resolver=resolver):
-            if isinstance(move, ToolChange):
-                tool = arm.with_tool(move.length_mm, move.offset_mm)
-            if step and last is not None and move.source.line != last.line and not isinstance(move, ProgramEnd):
-                yield Message(STEP_MARK, last)
-                last = None
-            yield move
-            if not isinstance(move, Message | Pause | ProgramEnd | ToolChange):
-                last = move.source
-            if isinstance(move, JointMove | ToolChange):
-                _stand(interpreter, resolver, tool, joints_deg)
-        around.save_variables(interpreter)
-    finally:
-        source.close()
+    def __init__(
+        self, path: Path, arm: Arm, joints_deg: Joints, around: Surroundings, *, start_line: int, step: bool
+    ) -> None:
+        self._path = path
+        self._arm = arm
+        self._joints_deg = joints_deg
+        self._around = around
+        self._start_line = start_line
+        self._step = step
+        self._interpreter: Interpreter | None = None
+
+    def moves(self) -> Iterator[Move | Action]:
+        """The moves, read as they are taken, with log comments as `LogNote`; raises GcodeError and its kin naming
+        file and line.
+        """
+        source = FileLines.open(self._path, self._path.name)
+        around, arm = self._around, self._arm
+        try:
+            interpreter = around.interpreter(source, arm, around.settings(start_line=self._start_line))
+            self._interpreter = interpreter
+            notes: list[LogNote] = []
+            options = noting(around.resolve_options(), notes)
+            resolver = Resolver(options)
+            _stand(interpreter, resolver, arm, self._joints_deg)
+            last: Source | None = None
+            tool = arm
+            for move in with_notes_between(resolve(interpreter.calls(), options, resolver=resolver), notes):
+                if isinstance(move, ToolChange):
+                    tool = arm.with_tool(move.length_mm, move.offset_mm)
+                ends_block = last is not None and move.source.line != last.line
+                if self._step and last is not None and ends_block and not isinstance(move, ProgramEnd):
+                    yield Message(STEP_MARK, last)
+                    last = None
+                yield move
+                if not isinstance(move, Message | Pause | ProgramEnd | ToolChange | LogNote | StillReading):
+                    last = move.source
+                if isinstance(move, JointMove | ToolChange):
+                    _stand(interpreter, resolver, tool, self._joints_deg)
+        finally:
+            source.close()
+
+    def save_variables(self) -> None:
+        """Keep the persistent parameters as the program has left them, once it has been played to its end."""
+        if self._interpreter is not None:
+            self._around.save_variables(self._interpreter)
 
 
 def _stand(interpreter: Interpreter, resolver: Resolver, arm: Arm, joints_deg: Joints) -> None:
@@ -182,7 +208,7 @@ class MdiSession:
         self._resolver = Resolver(around.resolve_options())
         self.history: deque[str] = deque(maxlen=MAX_MDI_HISTORY)
 
-    def moves(self, block: str, arm: Arm, joints_deg: Joints) -> Generator[Move | ExternalAction, None, None]:
+    def moves(self, block: str, arm: Arm, joints_deg: Joints) -> Generator[Move | Action, None, None]:
         """The moves of one block; raises GcodeError, RefusedError."""
         if "\n" in block or "\r" in block:
             raise RefusedError("MDI takes one block; put several into a program")

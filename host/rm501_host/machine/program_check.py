@@ -1,31 +1,32 @@
 """What is known about a program before it runs: whether it may, how long it takes, how far that was checked.
 
-A program that asks the outside world (M66) or never ends cannot be checked to its end. It is checked up to that
-point and planned again as it runs.
+A program that asks the outside world (M66), never ends or is very long cannot be checked to its end before the start.
+It is checked as far as may be, and the same check goes on ahead of the motion as it runs (`preflight.rolling`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from rm501_host.errors import RefusedError
-from rm501_host.gcode.errors import GcodeLimitError
-from rm501_host.machine.gcode_source import Surroundings, program_moves
+from rm501_host.gcode.program_log import ProgramLog
+from rm501_host.machine.gcode_source import ProgramReader, Surroundings
 from rm501_host.machine.machine import Machine
-from rm501_host.moves import InputWait, ProbeMove
-from rm501_host.planner import Piece, PieceKind, Planner
-from rm501_host.preflight import ProgramCheck
-
-_KEPT_PIECES = 200_000
+from rm501_host.moves import Move, ProbeMove
+from rm501_host.planner import Piece, Planner
+from rm501_host.planner.pieces import Action
+from rm501_host.preflight import ProgramCheck, RollingCheck
+from rm501_host.program_plan import PlannedProgram, carry_out_notes
 
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """What the preflight of a program found: how long it takes, how far it was checked.
+    """What the preflight of a program found before the start: how long it takes, how far it was checked.
 
-    `pieces` is the whole plan where it was kept, else empty.
+    `duration_s` and `motion_s` are exact for a program that was planned to its end (up to 5,000 moves), an estimate
+    for a longer one.
     """
 
     name: str
@@ -36,83 +37,69 @@ class Checked:
     checked_to_line: int
     start_deg: tuple[float, ...]
     speed: float
-    pieces: tuple[Piece, ...]
 
 
-def check_and_plan_program(
-    machine: Machine,
-    around: Surroundings,
-    path: Path,
-    line: int,
-    start_deg: tuple[float, ...],
-    speed: float,
-    step: bool,
-) -> Checked:
-    """Check and plan the program at `path` from `line` and joints `start_deg` (5,), at `speed` times its feeds.
+class LoadedProgram:
+    """A program read, checked and planned from where the arm stands, to be played once.
 
-    `step`: with a mark at rest after every block that moves. Raises GcodeError and PlanError naming file and line,
-    RefusedError with every error of the preflight.
+    `path` from `line` and joints `start_deg` (5,), at `speed` times its feeds; `step`: with a mark at rest after every
+    block that moves. `tell` is given warnings and printed texts, from any thread.
     """
-    _refuse_what_the_preflight_finds(machine, around, path, line, start_deg)
-    kept: list[Piece] = []
-    duration_s = motion_s = 0.0
-    complete, last_line = True, line
-    try:
-        for piece in program_pieces(machine, around, path, line, start_deg, speed, step):
-            if piece.kind is PieceKind.MARK and isinstance(piece.move, InputWait):
-                complete = False
-                break
-            if isinstance(piece.move, ProbeMove):
-                raise RefusedError(f"{piece.source}: there is no probe on this machine; remove G38")
-            duration_s += piece.duration_s
-            motion_s += piece.motion_s
-            last_line = max(last_line, piece.source.line)
-            kept.append(piece)
-            if len(kept) > _KEPT_PIECES:
-                complete = False
-                break
-    except GcodeLimitError:
-        complete = False
-    pieces = tuple(kept) if complete else ()
-    return Checked(path.name, line, duration_s, motion_s, complete, last_line, start_deg, speed, pieces)
+
+    def __init__(
+        self,
+        machine: Machine,
+        around: Surroundings,
+        path: Path,
+        line: int,
+        start_deg: tuple[float, ...],
+        speed: float,
+        step: bool,
+        tell: Callable[[str], None],
+    ) -> None:
+        check = ProgramCheck(machine.arm, machine.config, start_deg)
+        self._reader = ProgramReader(
+            path, machine.arm, lambda: tuple(check.q_deg.tolist()), around, start_line=line, step=step
+        )
+        moves = _without_probes(self._reader.moves())
+        rolling = RollingCheck(check, moves, machine.config.preflight.max_blocks, tell)
+        self.plan = PlannedProgram(rolling, check, Planner(machine.arm, machine.config, start_deg, speed_scale=speed))
+        self._log = ProgramLog(around.logs, tell)
+        self._logs = around.logs
+        self._request = (path.name, line, start_deg, speed)
+
+    def check(self) -> Checked:
+        """Check it as far as may be before the start, and plan it if it is short.
+
+        Raises GcodeError and PlanError naming file and line, RefusedError with every error of the preflight.
+        """
+        self.plan.start()
+        return self.checked_now()
+
+    def checked_now(self) -> Checked:
+        """How far it has been checked by now."""
+        plan = self.plan
+        name, line, start_deg, speed = self._request
+        to_line = max(line, plan.checked_to_line)
+        return Checked(name, line, plan.duration_s, plan.motion_s, plan.is_complete, to_line, start_deg, speed)
+
+    def pieces(self) -> Iterator[Piece]:
+        """What is to be played; log comments are written meanwhile, into the folder for logs alone."""
+        self._logs.mkdir(parents=True, exist_ok=True)
+        return carry_out_notes(self.plan.pieces(), self._log)
+
+    def save_variables(self) -> None:
+        """Keep the persistent parameters, once it has been played to its end; raises GcodeFileError."""
+        self._reader.save_variables()
+
+    def close(self) -> None:
+        """Let go of its files."""
+        self._log.close()
+        self.plan.close()
 
 
-def program_pieces(
-    machine: Machine,
-    around: Surroundings,
-    path: Path,
-    line: int,
-    start_deg: tuple[float, ...],
-    speed: float,
-    step: bool,
-) -> Iterator[Piece]:
-    """The plan of a program, read as it is taken; raises GcodeError and PlanError naming file and line."""
-    planner = Planner(machine.arm, machine.config, start_deg, speed_scale=speed)
-    moves = program_moves(
-        path,
-        machine.arm,
-        lambda: tuple(planner.q_deg.tolist()),
-        around,
-        start_line=line,
-        max_blocks=machine.config.preflight.max_blocks,
-        step=step,
-    )
-    return planner.plan(moves)
-
-
-def _refuse_what_the_preflight_finds(
-    machine: Machine, around: Surroundings, path: Path, line: int, start_deg: tuple[float, ...]
-) -> None:
-    check = ProgramCheck(machine.arm, machine.config, start_deg)
-    moves = program_moves(
-        path,
-        machine.arm,
-        lambda: tuple(check.q_deg.tolist()),
-        around,
-        start_line=line,
-        max_blocks=machine.config.preflight.max_blocks,
-        step=False,
-    )
-    report = check.run(moves, estimate=False, limit_error=GcodeLimitError)
-    if not report.ok:
-        raise RefusedError("\n".join(str(finding) for finding in report.errors))
+def _without_probes(moves: Iterator[Move | Action]) -> Iterator[Move | Action]:
+    for move in moves:
+        if isinstance(move, ProbeMove):
+            raise RefusedError(f"{move.source}: there is no probe on this machine; remove G38")
+        yield move

@@ -1,11 +1,11 @@
 """Running programs and single blocks on the machine.
 
-    load        interpret and plan all of it from where the arm stands: nothing moves, every error is found here
+    load        check it from where the arm stands, as far as may be: nothing moves, errors are found here
     run         play it; pauses, messages and inputs are handled at rest, between stretches of motion
     afterwards  the last executed line stays, so `run --line` can go on from there when an operator says so
 
-A program that asks the outside world (M66) or never ends cannot be checked to its end. It is checked up to that
-point and planned again as it runs; status says `checked to line N`.
+A program that asks the outside world (M66), never ends or is very long cannot be checked to its end before the start.
+It is checked as far as may be; the same check then goes on ahead of the motion, and status says `checked_to_line`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from rm501_host.machine.gcode_source import STEP_MARK, MdiSession, Surroundings
 from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
-from rm501_host.machine.program_check import Checked, check_and_plan_program, program_pieces
+from rm501_host.machine.program_check import Checked, LoadedProgram
 from rm501_host.machine.program_files import ProgramFiles
 from rm501_host.motion import PieceRuns, Progress
 from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProgramEnd, Source
 from rm501_host.planner import Piece, Planner
 from rm501_host.planner.pieces import Action
+from rm501_host.preflight import ProgramFault
 from rm501_host.program import run_external
 
 _INPUT_POLL_S = 0.01
@@ -52,13 +53,32 @@ class Programs:
         self._mdi = MdiSession(around)
         self._done_frames = 0
         self._planned_frames = 0
-        self._total_s = 0.0
+        self._running: LoadedProgram | None = None
         self._lines: list[str] = []
 
     @property
     def time_left_s(self) -> float:
         """Path time left of the program that runs, at 100 %."""
         return max(0.0, self._total_s * (1.0 - self.progress)) if self.name else 0.0
+
+    @property
+    def checked_to_line(self) -> int:
+        """How far the loaded program has been checked; goes on while it runs."""
+        checked = 0 if self.checked is None or not self.name else self.checked.checked_to_line
+        return checked if self._running is None else max(checked, self._running.plan.checked_to_line)
+
+    @property
+    def check_complete(self) -> bool:
+        """Whether the loaded program has been checked to its end."""
+        if self._running is not None:
+            return self._running.plan.is_complete
+        return self.checked is not None and bool(self.name) and self.checked.complete
+
+    @property
+    def _total_s(self) -> float:
+        if self._running is not None:
+            return self._running.plan.duration_s
+        return 0.0 if self.checked is None else self.checked.duration_s
 
     @property
     def mdi_history(self) -> list[str]:
@@ -72,7 +92,14 @@ class Programs:
     # ------------------------------------------------------------------------------------------ preflight
 
     async def load(self, name: str, *, line: int = 1, speed: float = 1.0) -> Checked:
-        """Interpret and plan a program from here; raises ProgramNameError, GcodeError, PlanError, RefusedError."""
+        """Check a program from here, and plan it if it is short; raises ProgramNameError, GcodeError, PlanError,
+        RefusedError.
+        """
+        program, checked = await self._load(name, line=line, speed=speed)
+        program.close()
+        return checked
+
+    async def _load(self, name: str, *, line: int, speed: float) -> tuple[LoadedProgram, Checked]:
         path = self.files.path(name)
         if not 0.0 < speed <= 2.0:
             raise RefusedError(f"speed {speed} is not above 0 and at most 2")
@@ -82,42 +109,51 @@ class Programs:
             )
         start = self._machine.planning_start_deg
         step = self.single_block
-        loop = asyncio.get_running_loop()
-        checked = await loop.run_in_executor(
-            None, lambda: check_and_plan_program(self._machine, self._around, path, line, start, speed, step)
-        )
+        loop, messages = asyncio.get_running_loop(), self._machine.messages
+
+        def tell(text: str) -> None:
+            loop.call_soon_threadsafe(messages.append, text)
+
+        program = LoadedProgram(self._machine, self._around, path, line, start, speed, step, tell)
+        try:
+            checked = await loop.run_in_executor(None, program.check)
+        except BaseException:
+            program.close()
+            raise
         self.checked = checked
         self.name, self.line, self.block, self.progress = name, 0, "", 0.0
-        self._total_s = checked.duration_s
         self._lines = _lines_of(path)
         self._machine.write_log("program_loaded", name=name, line=line, duration_s=round(checked.duration_s, 3))
-        return checked
+        return program, checked
 
     # ------------------------------------------------------------------------------------------------- run
 
     async def run(self, who: Owner, name: str, *, line: int = 1, speed: float = 1.0) -> Job:
         """Check and start a program; raises what `load` raises, and what `Machine.start_job` raises."""
         self._machine.lease.require(who)
-        checked = await self.load(name, line=line, speed=speed)
-        step = self.single_block
+        program, checked = await self._load(name, line=line, speed=speed)
 
         async def body(job: Job) -> None:
             if tuple(self._machine.planning_start_deg) != checked.start_deg:
                 raise RefusedError("the arm moved while the program was checked; start it again")
-            pieces: Iterator[Piece] = (
-                iter(checked.pieces)
-                if checked.complete
-                else program_pieces(
-                    self._machine, self._around, self.files.path(name), line, checked.start_deg, speed, step
-                )
-            )
             self._done_frames = 0
             self.forget_modes()
-            await self._play(pieces)
+            self._running = program
+            try:
+                await self._play(program.pieces())
+                program.save_variables()
+            finally:
+                program.close()
+                self.checked = program.checked_now()
+                self._running = None
             self.progress = 1.0
-            job.result.update(program=name, duration_s=round(checked.duration_s, 6))
+            job.result.update(program=name, duration_s=round(program.plan.duration_s, 6))
 
-        return self._machine.start_job(JobKind.PROGRAM, who, body)
+        try:
+            return self._machine.start_job(JobKind.PROGRAM, who, body)
+        except BaseException:
+            program.close()
+            raise
 
     async def mdi(self, who: Owner, block: str) -> Job:
         """Run one block; raises GcodeError, PlanError when it is wrong: nothing moved then."""
@@ -169,7 +205,7 @@ class Programs:
             self._show(progress.source)
         if self._total_s > 0:
             done_s = (self._done_frames + progress.played_frames) * self._machine.frame_s
-            self.progress = min(1.0, done_s / self._total_s)
+            self.progress = max(self.progress, min(1.0, done_s / self._total_s))
 
     def _show(self, source: Source) -> None:
         self.line = source.line
@@ -199,6 +235,8 @@ class Programs:
                     await asyncio.get_running_loop().run_in_executor(None, run_external, machine.config, action)
                 except UserMCodeError as failed:
                     raise StoppedError(f"{action.source}: {failed}; the arm stands at rest there") from failed
+            case ProgramFault(error=error):
+                raise error
             case None:
                 pass
             case other:

@@ -37,6 +37,8 @@ class PieceKind(Enum):
     """A digital output changes (at rest), over one frame."""
     MARK = "mark"
     """No motion and no time: a move that the session acts upon (pause, input, message, end), at rest."""
+    NOTE = "note"
+    """No motion and no time, and no rest either: something to write down when its turn comes (log comments)."""
 
 
 class EventKind(Enum):

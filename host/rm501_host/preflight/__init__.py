@@ -3,6 +3,7 @@
 from .check import ProgramCheck, check_program
 from .findings import Finding, FindingKind, PreflightReport, Severity, Via
 from .keep_out import KeepOut
+from .rolling import ProgramFault, RollingCheck
 from .via import suggest_via
 
 __all__ = [
@@ -11,6 +12,8 @@ __all__ = [
     "KeepOut",
     "PreflightReport",
     "ProgramCheck",
+    "ProgramFault",
+    "RollingCheck",
     "Severity",
     "Via",
     "check_program",

@@ -38,6 +38,9 @@ class AlongCheck:
         self._limits = limits
         self._keep_out = keep_out
         self._found = found
+        self.nominal_s = 0.0
+        """What the moves checked so far take at their feeds and the largest rates of joints and motors, without
+        accelerations."""
 
     def check(self, arm: Arm, points: BatchPoints, margin_mm: float) -> None:
         """Check a batch; blends may leave the path by `margin_mm`."""
@@ -129,13 +132,17 @@ class AlongCheck:
     def _speeds(self, arm: Arm, points: BatchPoints, q_deg: Array, q1: Array, skip: Flags) -> None:
         """Where joints or motors keep the tool below its feed: near singularities one by one, else summed up."""
         table, index = points.table, points.index
-        feed = np.minimum(table.feed_mm_s[index], table.rate[index])
-        chosen = np.flatnonzero(~skip & np.isfinite(feed) & ~table.is_joint[index])
+        valid = np.flatnonzero(~skip)
+        feed = np.minimum(table.feed_mm_s[index[valid]], table.rate[index[valid]])
+        rates = np.abs(q1[valid] @ self._limits.rows.T) / self._limits.velocity
+        speed = 1.0 / np.maximum(rates.max(axis=1), 1e-300)
+        points_of = np.maximum(np.bincount(index[valid], minlength=len(table)), 1)
+        self.nominal_s += float((table.length[index[valid]] / np.minimum(feed, speed) / points_of[index[valid]]).sum())
+        fed = np.isfinite(feed) & ~table.is_joint[index[valid]]
+        chosen, feed, rates, speed = valid[fed], feed[fed], rates[fed], speed[fed]
         if not len(chosen):
             return
-        rates = np.abs(q1[chosen] @ self._limits.rows.T) / self._limits.velocity
-        speed = 1.0 / np.maximum(rates.max(axis=1), 1e-300)
-        share = speed / feed[chosen]
+        share = speed / feed
         slow = np.flatnonzero(share < _SLOWER)
         if not len(slow):
             return

@@ -83,6 +83,38 @@ class ProgramCheck:
         """Joints at the end of the moves taken so far."""
         return self._check.q_deg
 
+    @property
+    def line(self) -> int:
+        """The highest line taken so far."""
+        return self._check.line
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What has been found so far (the moves of the last unfinished batch apart)."""
+        return self._check.found.findings()
+
+    def findings_since(self, count: int) -> tuple[Finding, ...]:
+        """Findings after the first `count`, without the summaries of moves below their feed."""
+        return self._check.found.since(count)
+
+    @property
+    def first_bad(self) -> int | None:
+        """The first move with an error, counted from 0 over all that were taken."""
+        return self._check.found.first_bad
+
+    @property
+    def nominal_s(self) -> float:
+        """What the moves checked so far take at their feeds and the largest joint rates, without accelerations."""
+        return self._check.nominal_s
+
+    def take(self, move: Move | Action) -> None:
+        """Check one more move: at once, or with the batch that it belongs to."""
+        self._check.take(move)
+
+    def flush(self) -> None:
+        """Check what is still held back."""
+        self._check.flush()
+
     def run(
         self,
         moves: Iterable[Move | Action],
@@ -249,6 +281,11 @@ class _Check:
             return None
         self._path.stand_at(np.array(result.best.q_deg))
         return self._path.task
+
+    @property
+    def nominal_s(self) -> float:
+        """Time of what was checked, without accelerations."""
+        return self._along.nominal_s
 
     def flush(self) -> None:
         """Check what has been collected."""

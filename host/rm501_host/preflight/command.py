@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 def check_command(ctx: click.Context, program: Path, start: str | None, max_blocks: int | None) -> None:
     """Check PROGRAM from its start to its end, or to the first point that depends on the outside world."""
     from rm501_host.errors import RefusedError
-    from rm501_host.gcode import Settings
     from rm501_host.gcode.errors import GcodeLimitError
     from rm501_host.kinematics import Arm
     from rm501_host.planner.programs import start_joints
-    from rm501_host.program import read_moves
+    from rm501_host.program import program_settings, read_moves
 
     from .check import ProgramCheck
 
@@ -33,9 +32,11 @@ def check_command(ctx: click.Context, program: Path, start: str | None, max_bloc
     arm = Arm.from_config(config)
     start_deg = start_joints(start, arm)
     most = max_blocks or config.preflight.max_blocks
-    settings = Settings(subroutine_path=(program.resolve().parent,), max_blocks=most)
+    settings = replace(program_settings(config, program), max_blocks=10 * most)
     check = ProgramCheck(arm, config, start_deg)
-    moves = read_moves(program, arm, lambda: check.q_deg.tolist(), lambda text: click.echo(text, err=True), settings)
+    moves = read_moves(
+        program, arm, lambda: check.q_deg.tolist(), lambda text: click.echo(text, err=True), settings, config=config
+    )
     report = check.run(moves, max_moves=most, limit_error=GcodeLimitError)
     if ctx.obj.json_output:
         click.echo(json.dumps(_as_json(report)))
