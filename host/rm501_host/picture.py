@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,14 @@ from rm501_host.errors import RefusedError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+SUFFIXES = (".png", ".svg")
+
+
+def require_matplotlib() -> None:
+    """Raise RefusedError when pictures cannot be drawn here."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise RefusedError("pictures need matplotlib: pip install 'rm501[plot]'")
 
 
 def draw_program(
@@ -24,15 +33,14 @@ def draw_program(
     """Write PNG or SVG (by the suffix) to `path`: `time_s` (n), `joints_deg` (n, 5), `tcp_mm` (n, 3) in the base
     frame.
 
-    Raises RefusedError when matplotlib is not installed or the suffix is unknown, OSError when the file cannot be
-    written.
+    Raises RefusedError when matplotlib is not installed, ValueError for a suffix outside SUFFIXES, OSError when the
+    file cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise RefusedError("pictures need matplotlib: pip install 'rm501[plot]'") from error
-    if path.suffix.lower() not in (".png", ".svg"):
-        raise RefusedError(f"{path}: a picture is PNG or SVG; give a name that ends in .png or .svg")
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path}: a picture is PNG or SVG")
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     figure.suptitle(title)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.1, 1.3))

@@ -6,6 +6,8 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from rm501_host.storage import write_atomic
+
 
 @dataclass(frozen=True, slots=True)
 class WireFigures:
@@ -55,11 +57,8 @@ class RunReport:
         return json.dumps(asdict(self), indent=2)
 
     def write(self, path: Path) -> None:
-        """Write the JSON to `path`, replacing what was there in one step; raises OSError."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch = path.with_name(path.name + ".part")
-        scratch.write_text(self.as_json() + "\n", encoding="utf-8")
-        scratch.replace(path)
+        """Write the JSON to `path`, replacing what was there in one step; raises StorageError."""
+        write_atomic(path, f"{self.as_json()}\n".encode())
 
     def as_text(self) -> str:
         """The few lines for a person."""

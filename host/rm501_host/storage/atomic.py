@@ -24,8 +24,15 @@ class StorageError(Rm501Error):
 def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     """Write `data` to `path`: temporary file beside it, fsync, rename, fsync of the folder.
 
+    A symbolic link stays one: the file that it points to is replaced. What is there and is no regular file (a pipe,
+    `/dev/stdout`) is written to as it is.
+
     Raises StorageError when any step fails; `path` then holds what it held before, and no temporary file is left.
     """
+    if path.exists() and not path.is_file():
+        _write_in_place(path, data)
+        return
+    path = path.resolve() if path.is_symlink() else path
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
@@ -43,6 +50,13 @@ def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
+        raise _failed(path, error) from error
+
+
+def _write_in_place(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
         raise _failed(path, error) from error
 
 

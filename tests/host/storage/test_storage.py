@@ -117,3 +117,25 @@ def test_position_file_on_a_full_disk_warns_and_goes_on(tmp_path: Path, monkeypa
     monkeypatch.setattr(os, "fsync", no_space)
     assert not file.write(_record(True))
     assert "No space" in (file.warning or "")
+
+
+def test_a_link_to_a_file_stays_a_link(tmp_path: Path) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_bytes(b"old")
+    link.symlink_to(target)
+    write_atomic(link, b"new")
+    assert link.is_symlink()
+    assert target.read_bytes() == b"new"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_what_is_no_regular_file_is_written_to_and_not_replaced(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDWR | os.O_NONBLOCK)
+    try:
+        write_atomic(pipe, b"hello")
+        assert pipe.is_fifo()
+        assert os.read(reader, 100) == b"hello"
+    finally:
+        os.close(reader)
