@@ -151,7 +151,7 @@ class GridBuilder:
         element, start, stop = element[order], start[order], stop[order]
         ia, im, ib = ia[order], im[order], ib[order]
         bend, _, x_top = self._bends(rows, ia, im, ib, stop - start)
-        self._check_speeds(table, rows, element, start, ia, x_top)
+        self._check_speeds(table, rows, element, start, ia, ib)
         if self._check_limits:
             self._check_ranges(table, rows, element, start, stop, ia, im, ib)
         limit = np.maximum(self._bounds - 1.2 * bend, 0.5 * self._bounds)
@@ -232,11 +232,12 @@ class GridBuilder:
         return bend, speed_bend, np.stack((cap_a, cap_b))
 
     def _check_speeds(
-        self, table: ElementTable, rows: _Rows, element: Indices, start: Array, ia: Indices, x_top: Array
+        self, table: ElementTable, rows: _Rows, element: Indices, start: Array, ia: Indices, ib: Indices
     ) -> None:
-        """Raise PlanError where the path could only be crept along: it runs through a singularity."""
-        slowest = int(np.argmin(x_top.min(axis=0)))
-        if float(x_top[:, slowest].min()) >= CREEP_MM_S**2:
+        """Raise PlanError where the joints let the path only be crept along: it runs through a singularity."""
+        slowness = rows.speed[:, : len(self._velocity)].max(axis=1)
+        slowest = int(np.argmax(np.maximum(slowness[ia], slowness[ib])))
+        if max(slowness[ia[slowest]], slowness[ib[slowest]]) * CREEP_MM_S <= 1.0:
             return
         raise PlanError(
             "the path runs through a singularity, where the joints would have to jump",
