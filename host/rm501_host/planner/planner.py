@@ -33,6 +33,7 @@ from rm501_host.moves import (
 
 from .corners import Corner, CornerMaker
 from .elements import Array, Element
+from .errors import PlanError
 from .grid import GridBuilder
 from .jerk import JerkLaw
 from .law import PathLaw
@@ -90,6 +91,19 @@ class Planner:
             yield from self._take(move)
         yield from self._stop()
         yield from self._settle_outputs()
+
+    def come_to_rest(self) -> Iterator[Piece]:
+        """After `plan` has raised PlanError: the path up to the last element that can be planned, to rest there."""
+        ready, self._ready = self._ready, []
+        self._pending = None
+        for element in ready:
+            try:
+                self._window.extend([element])
+            except PlanError:
+                break
+        stretch = self._window.finish()
+        if stretch is not None:
+            yield self._piece(stretch)
 
     def _set_arm(self) -> None:
         builder = GridBuilder(self._path.arm, self._limits)
