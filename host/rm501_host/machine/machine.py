@@ -515,9 +515,7 @@ class Machine:
             case MotionEnded():
                 self.last_end = notice
                 if self.stream is not None:
-                    self.stream.positions_q48 = notice.positions_q48
-                    self.stream.end_frame = self.session.motion_frames.extend(notice.motion_frame)
-                    self.stream.offsets.end_at(self.stream.end_frame)
+                    self.stream.motion_ended(notice)
                 self.write_log("motion_ended", cause=notice.cause.name, motion_frame=notice.motion_frame)
             case LinkSilent(silent_us=silent_us):
                 self.write_log("link_silent", silent_us=silent_us)

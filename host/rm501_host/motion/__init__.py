@@ -1,7 +1,9 @@
 """Motion on a board: playing planned pieces with an exact mirror of where the arm is, and homing on the switches."""
 
 from rm501_host.motion.homing import HomedJoint, Homing, HomingError
+from rm501_host.motion.live import LivePath
+from rm501_host.motion.play import BrokenOff, Progress
 from rm501_host.motion.runs import PieceRuns
-from rm501_host.motion.stream import MotionStream, Progress
+from rm501_host.motion.stream import MotionStream
 
-__all__ = ["HomedJoint", "Homing", "HomingError", "MotionStream", "PieceRuns", "Progress"]
+__all__ = ["BrokenOff", "HomedJoint", "Homing", "HomingError", "LivePath", "MotionStream", "PieceRuns", "Progress"]

@@ -16,13 +16,14 @@ from rm501_host.config import Config
 from .elements import Array, Curve, Element
 from .errors import PlanError
 from .grid import GridBuilder
-from .law import PathLaw
+from .jerk import JerkLaw
 from .limits import Limits
 from .pieces import Piece, PieceKind
+from .ways import along
 from .window import Window
 
 KEPT_S = 30.0
-"""How much of the past is worth keeping at least."""
+"""How far back, in time at 100 %, it goes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,14 +59,15 @@ def plan_run_back(
 ) -> tuple[Piece, ...]:
     """Pieces that lead back along `pieces` from plan time `stopped_s`, as far as they came in `seconds` of plan time.
 
-    Stops where the path stopped. Only path laws can be run back (no timed trajectories, no jerk-limited laws): raises
-    PlanError for others.
+    Stops where the path stopped; waits, the hand and outputs are left out. Laws timed from outside cannot be run back:
+    raises PlanError for them.
     """
     limits = Limits.from_config(config)
     frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
     earliest = stopped_s - seconds
     result: list[Piece] = []
     window: Window | None = None
+    is_smooth = False
     at = start_s
 
     def close() -> None:
@@ -74,7 +76,8 @@ def plan_run_back(
             return
         stretch = window.finish()
         assert stretch is not None
-        law = stretch.law
+        fastest = stretch.law
+        law = JerkLaw.over(fastest, stretch.lines, limits, frame_s) if is_smooth else fastest
         rest = tuple(law.q_deg(np.array([law.duration_s]))[0].tolist())
         first = stretch.elements[0].source
         result.append(
@@ -90,28 +93,14 @@ def plan_run_back(
             close()
         if piece.law is None:
             continue
-        if not isinstance(piece.law, PathLaw):
+        law = along(piece.law)
+        if law is None:
             raise PlanError("only paths can be run back, not timed laws", source=piece.source)
-        law = piece.law
         first, last = max(0.0, earliest - piece.start_s), min(law.duration_s, stopped_s - piece.start_s)
-        elements = [reversed_element(element) for element in reversed(_between(law, first, last))]
+        elements = [reversed_element(element) for element in reversed(law.elements_between(first, last))]
         if window is None:
-            window = Window(law.arm, GridBuilder(law.arm, limits), frame_s)
+            window = Window(law.arm, GridBuilder(law.arm, limits, check_limits=False), frame_s)
+            is_smooth = isinstance(law, JerkLaw)
         window.extend(elements)
     close()
     return tuple(result)
-
-
-def _between(law: PathLaw, first_s: float, last_s: float) -> list[Element]:
-    """The elements, trimmed, that the law passes between two of its times."""
-    k, s, _, _ = law.locate(np.array([first_s, last_s]))
-    low, high = int(law.element[k[0]]), int(law.element[k[1]])
-    found = []
-    for number in range(low, high + 1):
-        element = law.table.elements[number]
-        mine = law.element == number
-        begin = float(s[0]) if number == low else float(law.start[mine][0])
-        end = float(s[1]) if number == high else float(law.stop[mine][-1])
-        if end - begin > 1e-9:
-            found.append(element.trimmed(begin, end))
-    return found
