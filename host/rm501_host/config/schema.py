@@ -197,7 +197,7 @@ class PlannerSection(_Section, frozen=True):
     stall_budget_s: NonNegative
     jerk_limited: bool
     linear_rapids: bool
-    backlash_acceleration_share: Annotated[float, Meta(gt=0, le=0.5)] = 0.2
+    backlash_acceleration_share: Annotated[float, Meta(gt=0, le=0.5)] = 0.1
     blend: Literal["circular", "parabolic"] = "circular"
     tcp_max_speed_mm_s: Positive | None = None
     tcp_max_acceleration_mm_s2: Positive | None = None
