@@ -39,6 +39,8 @@ def status_lines(status: dict[str, Any]) -> list[str]:
             f"  program  {status['program']} line {status['line']}: {status['block'].strip()}  "
             f"{status['progress']:.0%}, {status['time_left_s']:.0f} s left"
         )
+        end = "to its end" if status["check_complete"] else f"to line {status['checked_to_line']}"
+        lines.append(f"           checked {end}")
     if status["waiting"]:
         lines.append(f"  waits    {status['waiting']}: resume goes on")
     lines += [f"  message  {text}" for text in status["messages"]]

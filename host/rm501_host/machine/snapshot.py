@@ -45,6 +45,16 @@ class ProgramView(Protocol):
         ...
 
     @property
+    def checked_to_line(self) -> int:
+        """How far it has been checked."""
+        ...
+
+    @property
+    def check_complete(self) -> bool:
+        """Whether that is its end."""
+        ...
+
+    @property
     def single_block(self) -> bool:
         """Stop after every block."""
         ...
@@ -103,6 +113,8 @@ def snapshot(machine: Machine, program: ProgramView, time_s: float, *, jog_dampe
         block=program.block,
         progress=round(program.progress, 4),
         time_left_s=round(program.time_left_s, 2),
+        checked_to_line=program.checked_to_line,
+        check_complete=program.check_complete,
         single_block=program.single_block,
         optional_stop=program.optional_stop,
         waiting=machine.waiting_for,

@@ -65,6 +65,10 @@ class MachineStatus(msgspec.Struct, frozen=True, kw_only=True):
     progress: float
     """Share of the program's path time that is done, 0..1."""
     time_left_s: float
+    checked_to_line: int
+    """How far the program has been checked; the check goes on ahead of the motion."""
+    check_complete: bool
+    """Whether it has been checked to its end."""
     single_block: bool
     optional_stop: bool
     waiting: str
