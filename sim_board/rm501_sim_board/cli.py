@@ -13,11 +13,11 @@ Choose where it listens, what kind of arm hangs on it and what goes wrong. It ru
 
 \b
   rm501-sim-board --pty /tmp/rm501
-      then: rm501-host --port /tmp/rm501 home
+      then: rm501-host --port /tmp/rm501 serve       (home, jog, send ... talk to it)
   rm501-sim-board --tcp 127.0.0.1:5010 --preset real --seed 3
       then: rm501-host --port socket://127.0.0.1:5010 run program.ngc
   rm501-sim-board --can slcan:/tmp/rm501can
-      then: rm501-host --port can:slcan:/tmp/rm501can status
+      then: rm501-host --port can:slcan:/tmp/rm501can run program.ngc
   rm501-sim-board --pty /tmp/rm501 --fault swap:line=elbow_select,with=waist_select --vcd wrong.vcd
 
 Presets: ideal (motors follow at once, nothing is off), real (dynamics, friction, backlash, worn switches, an arm that

@@ -2,7 +2,7 @@
 monitor.
 
 Each command is one conversation over the daemon's socket. Interrupting a command that waits for a motion (Ctrl-C) asks
-the daemon to hold; the arm stands on its path then, and `resume`, `stop` or `reset` go on from there.
+the daemon to hold; the arm stands on its path then, `resume` goes on and `abort` ends the motion.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from rm501_host.cli.context import CommandContext
 from rm501_host.client.client import DaemonClient
 from rm501_host.client.session import daemon_option, talk
 from rm501_host.client.show import status_lines
-from rm501_host.errors import NoBoardError
+from rm501_host.config.schema import JOINT_NAMES
+from rm501_host.errors import NoBoardError, Rm501Error
 
 _PIECE = 16_000
 """Characters of a program sent at once: 64 KiB hold them however they are encoded."""
@@ -42,7 +43,12 @@ async def _moved(
     try:
         return await client.wait(started)
     except asyncio.CancelledError:
-        await client.call("hold")
+        try:
+            await client.call("hold")
+        except Rm501Error as error:
+            click.echo(f"the arm could not be held: {error}", err=True)
+        else:
+            click.echo("held on the path: resume goes on, abort ends the motion", err=True)
         raise
 
 
@@ -190,7 +196,7 @@ def send_command(
     token_file: Path | None,
 ) -> None:
     """Give program FILE to the daemon, have it checked, and run it."""
-    text = file.read_text("utf-8", errors="surrogateescape")
+    text = _program_text(file)
 
     async def work(client: DaemonClient) -> Any:
         await upload(client, file.name, text)
@@ -201,6 +207,15 @@ def send_command(
 
     result = talk(daemon, token_file, work)
     _print(context, result, f"{file.name}: {'runs' if detach else 'done'}")
+
+
+def _program_text(file: Path) -> str:
+    """The text of a program; one that is not UTF-8 is taken as Latin-1, as many an old comment is written."""
+    data = file.read_bytes()
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
 
 
 async def upload(client: DaemonClient, name: str, text: str) -> None:
@@ -344,6 +359,8 @@ def _teach_edit(
         q_deg = None if joints is None else [float(part) for part in joints.split(",")]
     except ValueError as error:
         raise click.BadParameter("give five numbers with commas", param_hint="--joints") from error
+    if q_deg is not None and len(q_deg) != len(JOINT_NAMES):
+        raise click.BadParameter("give five numbers with commas", param_hint="--joints")
     point = talk(
         daemon,
         token_file,

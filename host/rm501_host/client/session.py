@@ -11,8 +11,10 @@ from typing import Any, TypeVar
 
 import click
 
+from rm501_host.cli.context import CommandContext
 from rm501_host.client.client import DaemonClient, connect
 from rm501_host.daemon.paths import socket_path
+from rm501_host.errors import NoBoardError
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -45,8 +47,20 @@ def talk(daemon: str | None, token_file: Path | None, work: Callable[[DaemonClie
     ignore_broken_pipes()
 
     async def conversation() -> T:
-        client = await connect(address, token=token, name=f"rm501-host {os.getpid()}")
+        try:
+            client = await connect(address, token=token, name=f"rm501-host {os.getpid()}")
+        except NoBoardError as error:
+            raise NoBoardError(f"{error}{_about_port()}") from error
         async with client:
             return await work(client)
 
     return asyncio.run(conversation())
+
+
+def _about_port() -> str:
+    """What to tell somebody who named a port to a command that only knows the daemon."""
+    context = click.get_current_context(silent=True)
+    given = None if context is None else context.find_object(CommandContext)
+    if given is None or given.port is None:
+        return ""
+    return f"; this command asks the daemon, which alone opens the port: rm501-host --port {given.port} serve"

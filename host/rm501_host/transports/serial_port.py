@@ -33,12 +33,12 @@ async def open_transport(url: str) -> Transport:
     try:
         port = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=_exclusive())
     except (serial.SerialException, ValueError, OSError) as error:
-        raise PortError(url, _remedy(error)) from error
+        raise PortError(path, _remedy(error)) from error
     loop = asyncio.get_running_loop()
     try:
-        return SerialTransport(url, port, baud, loop)
+        return SerialTransport(path, port, baud, loop)
     except NotImplementedError:  # the loop cannot watch descriptors
-        return ThreadedSerialTransport(url, port, baud, loop)
+        return ThreadedSerialTransport(path, port, baud, loop)
 
 
 def _exclusive() -> bool | None:
@@ -66,7 +66,9 @@ def _remedy(error: BaseException) -> str:
         return "no permission; add your user to the group of the device (often dialout) and log in again"
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error).lower():
         return "in use by another program; close that first"
-    return f"cannot be opened: {error}"
+    if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR) or "Could not configure port" in str(error):
+        return "no serial port, or not at this speed; name the device of the board, such as /dev/ttyUSB0"
+    return f"{error}; is it the device of the board?"
 
 
 class SerialTransport(StreamBase):

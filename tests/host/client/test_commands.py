@@ -54,6 +54,26 @@ def socket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     assert not path.exists()
 
 
+def test_a_port_named_to_a_command_of_the_daemon_is_answered_by_how_to_start_it(tmp_path: Path) -> None:
+    result = run("--port", "/dev/ttyACM7", "home", socket=tmp_path / "none.sock")
+    assert result.returncode == 4
+    assert "rm501-host --port /dev/ttyACM7 serve" in result.stderr
+
+
+def test_a_program_with_old_comments_is_sent_as_the_characters_that_it_shows(socket: Path, tmp_path: Path) -> None:
+    program = tmp_path / "greifer.ngc"
+    program.write_bytes("(Greifer öffnen)\nG1 X1 (ohne F: wird abgelehnt)\nM2\n".encode("latin-1"))
+    result = run("send", str(program), socket=socket)
+    assert "Traceback" not in result.stderr
+    assert result.returncode == 5
+
+
+def test_joints_of_a_point_are_five(tmp_path: Path) -> None:
+    result = run("teach", "edit", "pick", "--joints", "1,2", socket=tmp_path / "none.sock")
+    assert result.returncode == 2
+    assert "five numbers" in result.stderr
+
+
 @pytest.mark.parametrize("command", ["status", "home", "stop", "hold", "monitor", "verify", "doctor"])
 def test_without_a_daemon_every_command_says_what_to_do(tmp_path: Path, command: str) -> None:
     result = run(command, socket=tmp_path / "none.sock")
