@@ -61,6 +61,7 @@ _REST_TIMEOUT_S = 15.0
 _REPORT_TIMEOUT_S = 2.0
 _NOTICE_S = 0.5
 """A job whose motion the board has ended notices within a status period; if not, it is ended."""
+HIGHEST_OVERRIDE = 2.0
 _SYSTEM = Owner(0, "the machine")
 
 
@@ -91,6 +92,7 @@ class Machine:
         self.cause: causes.Cause | None = causes.CONNECTING
         self.mode = Mode.MANUAL
         self.override = 1.0
+        self.plan_scale = 1.0
         self.job: Job | None = None
         self._job_task: asyncio.Task[None] | None = None
         self.last_job_id = 0
@@ -250,13 +252,29 @@ class Machine:
             await job.done.wait()
 
     async def set_override(self, ratio: float, who: Owner) -> None:
-        """Feed override 0..1, at once and along the path."""
+        """Feed override 0..2, along the path. Up to 1 at once; above it a program is planned anew for higher feeds, and
+        every other motion stays at 1.
+        """
         self.lease.require_control(who)
-        if not 0.0 <= ratio <= 1.0:
-            raise RefusedError(f"override {ratio} is not between 0 and 1; above 1 give the program a speed factor")
-        self.session.post(SetOverride(round(ratio * OVERRIDE_ONE)))
+        if not 0.0 <= ratio <= HIGHEST_OVERRIDE:
+            raise RefusedError(f"override {ratio} is not between 0 and {HIGHEST_OVERRIDE:g}")
+        session = self.session
         self.write_log("override", who=who.name, old=self.override, new=ratio)
         self.override = ratio
+        session.post(self._rate())
+
+    def follow_plan_scale(self, scale: float) -> None:
+        """Feeds of what is played now were multiplied by this: the board's rate does the rest of the override."""
+        if scale == self.plan_scale:
+            return
+        self.write_log("plan_scale", old=self.plan_scale, new=scale)
+        self.plan_scale = scale
+        session = self._port.session
+        if session is not None and session.failure is None:
+            session.post(self._rate())
+
+    def _rate(self) -> SetOverride:
+        return SetOverride(round(min(1.0, self.override / self.plan_scale) * OVERRIDE_ONE))
 
     async def reset(self, who: Owner, fault: str | None = None, *, power: bool = True) -> None:
         """Leave ESTOP or OFF: clear the fault that is named, drop what is queued, switch the motors on.
@@ -319,6 +337,10 @@ class Machine:
         self.write_log("motion", motion=job.id, what=kind.value, who=who.name)
         self._job_task = self._tasks.create_task(self._run_job(job, body), name=f"motion {job.id}")
         return job
+
+    def go_on(self) -> None:
+        """End `wait_for_operator` without an operator's resume: somebody has something else for the arm to do."""
+        self._continue.set()
 
     async def wait_for_operator(self, what: str) -> None:
         """A program waits for `resume` (M0, M1, a single block); the state is HELD meanwhile.
@@ -460,7 +482,7 @@ class Machine:
         await stream.prepare()
         stream.offsets.set(self.arm_state.offsets_deg)
         if self.override != 1.0:
-            session.post(SetOverride(round(self.override * OVERRIDE_ONE)))
+            session.post(self._rate())
         self.stream = stream
         self._apply(Event.POWER_ON)
         self.cause = None

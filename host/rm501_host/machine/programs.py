@@ -11,29 +11,20 @@ It is checked as far as may be; the same check then goes on ahead of the motion,
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
-from rm501_host.errors import RefusedError, StoppedError
-from rm501_host.gcode.resolve import ExternalAction
-from rm501_host.gcode.user_m import UserMCodeError
-from rm501_host.machine.gcode_source import STEP_MARK, MdiSession, Surroundings
+from rm501_host.errors import RefusedError
+from rm501_host.machine.gcode_source import MdiSession, Surroundings
 from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
+from rm501_host.machine.player import Player
 from rm501_host.machine.program_check import Checked, LoadedProgram
 from rm501_host.machine.program_files import ProgramFiles
-from rm501_host.motion import PieceRuns, Progress
-from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProgramEnd, Source
-from rm501_host.planner import Piece, Planner
-from rm501_host.planner.pieces import Action
-from rm501_host.preflight import ProgramFault
-from rm501_host.program import run_external
+from rm501_host.planner import Planner
 
-_INPUT_POLL_S = 0.01
 _SHOWN_BYTES = 5_000_000
-_IMMEDIATE, _RISE, _FALL, _HIGH = range(4)
-"""M66 L0 to L3; L4 is low."""
 
 
 class Programs:
@@ -41,20 +32,49 @@ class Programs:
 
     def __init__(self, machine: Machine, files: ProgramFiles, around: Surroundings) -> None:
         self.files = files
-        self.single_block = False
-        self.optional_stop = False
+        self.player = Player(machine, around)
         self.name = ""
-        self.line = 0
-        self.block = ""
-        self.progress = 0.0
         self.checked: Checked | None = None
         self._machine = machine
         self._around = around
         self._mdi = MdiSession(around)
-        self._done_frames = 0
-        self._planned_frames = 0
         self._running: LoadedProgram | None = None
-        self._lines: list[str] = []
+        self._is_done = False
+
+    @property
+    def line(self) -> int:
+        """Line of the motion under way or the last one executed."""
+        return self.player.line
+
+    @property
+    def block(self) -> str:
+        """Text of that line."""
+        return self.player.block
+
+    @property
+    def single_block(self) -> bool:
+        """Stop after every block that moves."""
+        return self.player.single_block
+
+    @single_block.setter
+    def single_block(self, on: bool) -> None:
+        self.player.single_block = on
+
+    @property
+    def optional_stop(self) -> bool:
+        """Pause at M1."""
+        return self.player.optional_stop
+
+    @optional_stop.setter
+    def optional_stop(self, on: bool) -> None:
+        self.player.optional_stop = on
+
+    @property
+    def progress(self) -> float:
+        """Done share of the program's path time at 100 %."""
+        if self._is_done:
+            return 1.0
+        return min(1.0, self.player.played_s / self._total_s) if self.name and self._total_s > 0.0 else 0.0
 
     @property
     def time_left_s(self) -> float:
@@ -121,8 +141,8 @@ class Programs:
             program.close()
             raise
         self.checked = checked
-        self.name, self.line, self.block, self.progress = name, 0, "", 0.0
-        self._lines = _lines_of(path)
+        self.name, self._is_done = name, False
+        self.player.show(_lines_of(path))
         self._machine.write_log("program_loaded", name=name, line=line, duration_s=round(checked.duration_s, 3))
         return program, checked
 
@@ -136,17 +156,16 @@ class Programs:
         async def body(job: Job) -> None:
             if tuple(self._machine.planning_start_deg) != checked.start_deg:
                 raise RefusedError("the arm moved while the program was checked; start it again")
-            self._done_frames = 0
             self.forget_modes()
             self._running = program
             try:
-                await self._play(program.pieces())
+                await self.player.play(program.pieces())
                 program.save_variables()
             finally:
                 program.close()
                 self.checked = program.checked_now()
                 self._running = None
-            self.progress = 1.0
+            self._is_done = True
             job.result.update(program=name, duration_s=round(program.plan.duration_s, 6))
 
         try:
@@ -173,101 +192,15 @@ class Programs:
             pieces = ()
 
         async def body(job: Job) -> None:
-            self.name, self._lines = "", []
-            await self._play(iter(pieces))
+            self.name = ""
+            self.player.show([])
+            await self.player.play(iter(pieces))
 
         return machine.start_job(JobKind.MDI, who, body)
 
-    # ------------------------------------------------------------------------------------------ while it runs
-
-    async def _play(self, pieces: Iterator[Piece]) -> None:
-        """Play up to each mark, act on it at rest, go on; raises StoppedError and its kin."""
-        machine = self._machine
-        loop = asyncio.get_running_loop()
-        run = PieceRuns(pieces)
-        while True:
-            if machine.stream is None:
-                raise StoppedError("the machine was switched off")
-            first = await loop.run_in_executor(None, run.peek)
-            if first:
-                await machine.stream.play(run.until_mark(), self._on_progress)
-                self._done_frames += self._planned_frames
-            mark = run.mark
-            if mark is None:
-                return
-            if isinstance(mark.move, ProgramEnd):
-                return
-            await self._act(mark.move)
-
-    def _on_progress(self, progress: Progress) -> None:
-        self._planned_frames = progress.planned_frames
-        if progress.source is not None and progress.source.line:
-            self._show(progress.source)
-        if self._total_s > 0:
-            done_s = (self._done_frames + progress.played_frames) * self._machine.frame_s
-            self.progress = max(self.progress, min(1.0, done_s / self._total_s))
-
-    def _show(self, source: Source) -> None:
-        self.line = source.line
-        known = 0 < source.line <= len(self._lines)
-        self.block = self._lines[source.line - 1] if known else source.block
-
-    async def _act(self, move: Move | Action | None) -> None:
-        """Do what a mark asks for."""
-        machine = self._machine
-        match move:
-            case Message(text=text, source=source) if text == STEP_MARK:
-                self._show(source)
-                if self.single_block:
-                    await machine.wait_for_operator("step")
-            case Message(text=text, source=source):
-                machine.messages.append(f"{source}: {text}")
-                machine.write_log("message", text=text, line=source.line)
-            case Pause(kind=PauseKind.OPTIONAL):
-                if self.optional_stop:
-                    await machine.wait_for_operator("M1")
-            case Pause(kind=kind):
-                await machine.wait_for_operator(kind.value)
-            case InputWait():
-                await self._wait_for_input(move)
-            case ExternalAction() as action:
-                try:
-                    await asyncio.get_running_loop().run_in_executor(None, run_external, machine.config, action)
-                except UserMCodeError as failed:
-                    raise StoppedError(f"{action.source}: {failed}; the arm stands at rest there") from failed
-            case ProgramFault(error=error):
-                raise error
-            case None:
-                pass
-            case other:
-                raise RefusedError(f"{other.source}: {type(other).__name__} is not possible on this machine")
-
-    async def _wait_for_input(self, move: InputWait) -> None:
-        """M66: wait for an input of the board, at rest; the program then sees 1, 0 or -1 after the timeout."""
-        if move.analog:
-            raise RefusedError(f"{move.source}: there are no analog inputs; use P")
-        began = self._level(move.input)
-        value = float(began)
-        if move.mode != _IMMEDIATE:
-            before, value = began, -1.0
-            try:
-                async with asyncio.timeout(move.timeout_s):
-                    while True:
-                        now = self._level(move.input)
-                        if _wanted(move.mode, before, now):
-                            value = float(now)
-                            break
-                        if self._machine.job is None or self._machine.state.task.value != "ON":
-                            raise StoppedError(f"{move.source}: stopped while waiting for input {move.input}")
-                        before = now
-                        await asyncio.sleep(_INPUT_POLL_S)
-            except TimeoutError:
-                pass
-        self._around.answer.value = value
-
-    def _level(self, number: int) -> bool:
-        status = self._machine.board_status
-        return status is not None and bool(status.inputs >> number & 1)
+    async def run_back(self, who: Owner, seconds: float) -> float:
+        """Run a held program back along its path; see `Player.run_back`."""
+        return await self.player.run_back(who, seconds)
 
 
 def _lines_of(path: Path) -> list[str]:
@@ -275,12 +208,3 @@ def _lines_of(path: Path) -> list[str]:
     if path.stat().st_size > _SHOWN_BYTES:
         return []
     return path.read_text("utf-8", errors="replace").splitlines()
-
-
-def _wanted(mode: int, before: bool, now: bool) -> bool:
-    """Whether an input that was `before` and is `now` is what M66 waits for."""
-    if mode == _RISE:
-        return now and not before
-    if mode == _FALL:
-        return before and not now
-    return now if mode == _HIGH else not now
