@@ -128,6 +128,10 @@ class LinkCore(ABC):
         """Sequenced packets in flight."""
         return self._window.unacknowledged
 
+    def on_its_way(self, message: Message) -> bool:
+        """Whether this very message, a sequenced one, waits or is in flight: not acknowledged, not dropped."""
+        return self._window.holds(message)
+
     @property
     def round_trip_us(self) -> int:
         """Smoothed round trip time, 0 before the first measurement."""

@@ -85,6 +85,10 @@ class SendWindow:
         """Packets in flight."""
         return len(self._in_flight)
 
+    def holds(self, message: Message) -> bool:
+        """Whether this very message waits or is in flight."""
+        return any(item.message is message for queue in (self._in_flight, self._urgent, self._normal) for item in queue)
+
     @property
     def next_sequence(self) -> int:
         """Sequence of the next new packet."""

@@ -24,6 +24,7 @@ from rm501_protocol.link_events import (
     Event,
     GenerationAdvanced,
     LinkHeard,
+    LinkNoisy,
     LinkSilent,
     Received,
     SessionLost,
@@ -44,7 +45,7 @@ from rm501_protocol.transport import Transport
 
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")
-Notice = Message | LinkSilent | LinkHeard | SessionLost | StopAcknowledged | GenerationAdvanced
+Notice = Message | LinkSilent | LinkHeard | LinkNoisy | SessionLost | StopAcknowledged | GenerationAdvanced
 """What a listener gets: messages of the board and what the link noticed."""
 WireTap = Callable[[int, str, bytes], None]
 """Called with now_us, "out" or "in", and the bytes."""
@@ -54,6 +55,8 @@ HANDSHAKE_TIMEOUT_S = 5.0
 COMMAND_TIMEOUT_S = 3.0
 """Far above the longest retransmission (0.25 s) and the longest pause of a board that is alive."""
 _STOP_TIMEOUT_S = 2.0
+_NOISE_REMEMBERED_S = 30.0
+"""A bad line is judged every 500 frames, that is every few seconds at 25 statuses a second."""
 _POLL_S = 0.01
 """Between two looks at whether a command took effect."""
 
@@ -80,7 +83,9 @@ class BoardSession:
         self._listeners: list[Callable[[Notice], None]] = []
         self._failure: Rm501Error | None = None
         self._closing = False
-        self._flushed: list[asyncio.Future[None]] = []
+        self._confirming: list[tuple[Message, asyncio.Future[None]]] = []
+        self._noise: LinkNoisy | None = None
+        self._noise_s = 0.0
         self.motion_frames = FrameCounter()
         self.real_frames = FrameCounter()
         self.status: Status | None = None
@@ -160,7 +165,12 @@ class BoardSession:
     async def command(
         self, message: Message, until: Callable[[Status], bool], timeout_s: float = COMMAND_TIMEOUT_S
     ) -> Status:
-        """Send and wait until a status from after it satisfies `until`; raises BoardRefusedError when refused."""
+        """Send and wait until a status from after it satisfies `until`; raises BoardRefusedError when refused.
+
+        Messages that are declared urgent (Hold, Resume, Truncate) go ahead of segments that wait for a free slot. Any
+        other waits behind them; one that could not be sent in time is taken back, so that it is not obeyed later, and
+        StoppedError says so.
+        """
 
         def refusal(notice: Notice | SessionOpened) -> Status | None:
             if isinstance(notice, Refused) and notice.message_id == message.ID:
@@ -171,7 +181,7 @@ class BoardSession:
         try:
             self.post(message)
             async with asyncio.timeout(timeout_s):
-                await self._flush()
+                await self._acknowledged(message)
                 while True:
                     status = await self.refresh_status()
                     if refused.done():
@@ -180,6 +190,11 @@ class BoardSession:
                         return status
                     await asyncio.sleep(_POLL_S)
         except TimeoutError:
+            if self.link.take_back(lambda waiting: waiting is message):
+                raise StoppedError(
+                    f"{type(message).__name__} was not sent: it waited {timeout_s:.0f} s behind {self.link.pending} "
+                    "messages for which the board has no room; it is taken back, send it when the motion has ended"
+                ) from None
             raise StoppedError(
                 f"the board took {type(message).__name__} but did not do it within {timeout_s:.0f} s "
                 f"(state {self.status.state.name if self.status else 'unknown'}); look at its status, then reset it"
@@ -220,6 +235,13 @@ class BoardSession:
             self._timer.cancel()
             self._timer = None
         await self._transport.aclose()
+
+    @property
+    def noise_warning(self) -> str | None:
+        """What is wrong with the line, None while at most one frame in a hundred is broken."""
+        if self._noise is None or self._loop.time() - self._noise_s > _NOISE_REMEMBERED_S:
+            return None
+        return noise_text(self._noise)
 
     @property
     def failure(self) -> Rm501Error | None:
@@ -274,11 +296,11 @@ class BoardSession:
                 self._wire_tap(now_us, "out", packet)
             self._transport.write(packet)
         self._drain()
-        if not self.link.pending and not self.link.unacknowledged:
-            for future in self._flushed:
+        for message, future in tuple(self._confirming):
+            if not self.link.on_its_way(message):
+                self._confirming.remove((message, future))
                 if not future.done():
                     future.set_result(None)
-            self._flushed.clear()
         if self._timer is not None:
             self._timer.cancel()
         deadline_us = self.link.next_deadline_us()
@@ -312,6 +334,9 @@ class BoardSession:
                 self._tell(event)
             case LinkHeard():
                 self.link_silent = False
+                self._tell(event)
+            case LinkNoisy():
+                self._noise, self._noise_s = event, self._loop.time()
                 self._tell(event)
             case StopAcknowledged() | GenerationAdvanced():
                 self._tell(event)
@@ -356,12 +381,16 @@ class BoardSession:
                 f"the board did not send {what} within {timeout_s:.0f} s; check the connection and the board's power"
             ) from None
 
-    async def _flush(self) -> None:
-        """Wait until everything sequenced is acknowledged."""
+    async def _acknowledged(self, message: Message) -> None:
+        """Wait until the board has `message`, or it was dropped by a stop."""
         future: asyncio.Future[None] = self._loop.create_future()
-        self._flushed.append(future)
+        self._confirming.append((message, future))
         self._schedule_pump()
-        await future
+        try:
+            await future
+        finally:
+            if (message, future) in self._confirming:
+                self._confirming.remove((message, future))
 
     def _raise_failure(self) -> None:
         if self._failure is not None:
@@ -374,9 +403,18 @@ class BoardSession:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        for future in (*self._waiters, *self._flushed):
+        for future in (*self._waiters, *(future for _, future in self._confirming)):
             if not future.done():
                 future.set_exception(error)
+
+
+def noise_text(noise: LinkNoisy) -> str:
+    """A bad line in words, with its figures."""
+    share = noise.bad_frames / noise.frames
+    return (
+        f"the line to the board is bad: {noise.bad_frames} of {noise.frames} frames were broken ({share:.1%}); nothing "
+        "is lost, they are sent again: check the cable, its shield and the ground, and keep it away from the motors"
+    )
 
 
 async def open_session(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-_WRAP = 1 << 32
-_HALF = 1 << 31
+from rm501_protocol.motion_map import extend_u32
 
 
 class FrameCounter:
@@ -19,15 +18,9 @@ class FrameCounter:
 
     def read(self, wrapped: int) -> int:
         """Take a u32 reading; a reading a little older than the newest goes back, as signed distance says."""
-        if self._value is None:
-            self._value = wrapped
-        else:
-            self._value = self.extend(wrapped)
+        self._value = self.extend(wrapped)
         return self._value
 
     def extend(self, wrapped: int) -> int:
         """The extended number nearest to the newest reading; does not take it."""
-        if self._value is None:
-            return wrapped
-        distance = (wrapped - self._value) & (_WRAP - 1)
-        return self._value + (distance - _WRAP if distance >= _HALF else distance)
+        return wrapped if self._value is None else extend_u32(wrapped, self._value)

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from rm501_host.config import load_config
 from rm501_host.config.board import board_config_from
-from rm501_host.errors import NoBoardError, RefusedError
+from rm501_host.errors import NoBoardError, RefusedError, StoppedError
 from rm501_host.session import BoardRefusedError, BoardSession, FrameCounter, LinkLostError, open_session
 from rm501_host.transports import open_transport
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.board_config import BoardConfig
-from rm501_protocol.enums import BoardState
-from rm501_protocol.link_events import StopKind
-from rm501_protocol.messages import Resume, SetPower, Start
+from rm501_protocol.enums import BoardState, HoldCause, ResumeCause, SegmentFlag
+from rm501_protocol.link_events import LinkNoisy, StopKind
+from rm501_protocol.messages import Hold, Resume, Segment, SetOutputs, SetPower, SetStatusPeriod, Start
 
 T = TypeVar("T")
 CONFIG = board_config_from(load_config())
@@ -153,3 +153,74 @@ def test_counters_never_wrap(steps: list[int], start: int) -> None:
     for step in steps:
         true += step
         assert counter.read(true & 0xFFFFFFFF) == true
+
+
+def waiting_segments(session: BoardSession, count: int, first: int = 0) -> None:
+    """Segments of a second each, one after the other, at rest: more than the board has room for."""
+    start = session.motion_frames.value
+    for number in range(first, first + count):
+        session.post(Segment(start + 3125 * number, 3125, (), flags=SegmentFlag.ENDS_AT_REST))
+
+
+def test_a_hold_goes_ahead_of_segments_that_wait_for_room() -> None:
+    async def body(session: BoardSession) -> tuple[float, float]:
+        loop = asyncio.get_running_loop()
+        await session.command(SetPower(True), lambda status: status.power)
+        waiting_segments(session, 2)
+        session.post(Start())
+        waiting_segments(session, 58, first=2)
+        await asyncio.sleep(0.5)
+        assert session.link.pending > 20
+        began_s = loop.time()
+        status = await session.command(Hold(), lambda now: now.state is BoardState.HELD)
+        held_s = loop.time() - began_s
+        assert status.hold_cause is HoldCause.USER and session.link.pending > 20
+        await session.command(Resume(ResumeCause.USER), lambda now: now.state is BoardState.RUNNING)
+        return held_s, loop.time() - began_s
+
+    held_s, resumed_s = with_session(body)
+    assert held_s < 0.1 and resumed_s < 0.2
+
+
+def test_a_command_that_cannot_be_sent_is_taken_back_and_never_obeyed_later() -> None:
+    async def body(session: BoardSession) -> None:
+        await session.command(SetPower(True), lambda status: status.power)
+        waiting_segments(session, 40)
+        await asyncio.sleep(0.5)
+        waits = session.link.pending
+        assert waits > 0
+        with pytest.raises(StoppedError, match=f"SetOutputs was not sent: it waited 3 s behind {waits} messages"):
+            await session.command(SetOutputs(1, 1), lambda status: bool(status.outputs & 1))
+        assert session.link.pending == waits
+        session.post(Start())
+        await asyncio.sleep(30.0)
+        assert (await session.refresh_status()).outputs & 1 == 0
+
+    with_session(body)
+
+
+def test_a_bad_line_is_told_with_its_figures_until_it_is_good_again() -> None:
+    noises: list[LinkNoisy] = []
+
+    async def body(session: BoardSession) -> None:
+        session.add_listener(lambda notice: noises.append(notice) if isinstance(notice, LinkNoisy) else None)
+        session.post(SetStatusPeriod(20))
+        assert session.noise_warning is None
+        await asyncio.sleep(40.0)
+        assert noises
+        warning = session.noise_warning
+        assert warning is not None and f"{noises[-1].bad_frames} of {noises[-1].frames} frames" in warning
+        assert "check the cable" in warning
+        await asyncio.sleep(60.0)  # the fault ends after 50 s
+        assert session.noise_warning is None
+
+    with_session(body, "emu://?seed=3&fault=flip:p=0.0005@1s/50s")
+
+
+def test_a_good_line_is_not_called_bad() -> None:
+    async def body(session: BoardSession) -> str | None:
+        session.post(SetStatusPeriod(20))
+        await asyncio.sleep(30.0)
+        return session.noise_warning
+
+    assert with_session(body, "emu://?seed=3&fault=flip:p=0.00002") is None
