@@ -33,6 +33,8 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "send": ("rm501_host.client.commands:send_command", "Run a program through the daemon."),
     "follow": ("rm501_host.client.follow:follow_command", "Follow a timed joint trajectory from a file."),
     "hold": ("rm501_host.client.commands:hold_command", "Hold on the path."),
+    "override": ("rm501_host.client.path_commands:override_command", "Set the feed override, 0 to 200 %."),
+    "back": ("rm501_host.client.path_commands:back_command", "Run a held program back along its path."),
     "resume": ("rm501_host.client.commands:resume_command", "Go on after a hold."),
     "stop": ("rm501_host.client.commands:stop_command", "Stop on the path, motors off."),
     "abort": ("rm501_host.client.commands:abort_command", "End the program at rest, motors on."),

@@ -11,7 +11,6 @@ from rm501_host.daemon.service import Client
 from rm501_host.machine.jobs import Job
 
 Name = Annotated[str, Meta(min_length=1, max_length=100)]
-Ratio = Annotated[float, Meta(ge=0, le=1)]
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 MOTION = '{"motion": int}'
 

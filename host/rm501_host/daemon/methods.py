@@ -10,6 +10,7 @@ from rm501_host.daemon import methods_status  # isort: skip
 from rm501_host.daemon import methods_control  # isort: skip
 from rm501_host.daemon import methods_motion  # isort: skip
 from rm501_host.daemon import methods_program  # isort: skip
+from rm501_host.daemon import methods_path  # isort: skip
 from rm501_host.daemon import methods_teach  # isort: skip
 from rm501_host.daemon import methods_tables  # isort: skip
 from rm501_host.daemon.declared import api
@@ -18,6 +19,7 @@ __all__ = [
     "api",
     "methods_control",
     "methods_motion",
+    "methods_path",
     "methods_program",
     "methods_status",
     "methods_tables",

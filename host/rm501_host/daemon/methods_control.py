@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from rm501_host.daemon.access import Access
-from rm501_host.daemon.declared import Name, Number, Params, Ratio, api
+from rm501_host.daemon.declared import Name, Number, Params, api
 from rm501_host.daemon.rpc import NoParams
 from rm501_host.daemon.service import Client
 from rm501_protocol.link_events import StopKind
@@ -82,19 +82,6 @@ async def _resume(client: Client, params: NoParams) -> object:
 async def _abort(client: Client, params: NoParams) -> object:
     """End the motion: down to rest on the path, motors on, position trusted, the rest dropped."""
     await client.machine.abort(client.owner)
-    return None
-
-
-class OverrideParams(Params, frozen=True):
-    """1 is as programmed; 0 holds."""
-
-    ratio: Ratio
-
-
-@api.method("override", OverrideParams, Access.FULL)
-async def _override(client: Client, params: OverrideParams) -> object:
-    """Feed override, at once and along the path. Above 1: give `program.run` a speed."""
-    await client.machine.set_override(params.ratio, client.owner)
     return None
 
 

@@ -54,7 +54,7 @@ def request(method: str, **params: object) -> dict[str, object]:
         (request("__class__"), Code.METHOD_NOT_FOUND),
         (request("status", extra=1), Code.INVALID_PARAMS),
         (request("override", ratio="1"), Code.INVALID_PARAMS),
-        (request("override", ratio=1.01), Code.INVALID_PARAMS),
+        (request("override", ratio=2.01), Code.INVALID_PARAMS),
         (request("hand", action="crush"), Code.INVALID_PARAMS),
         ({"jsonrpc": "2.0", "id": 1, "method": "status", "params": [1]}, Code.INVALID_PARAMS),
         (request("home"), Code.REFUSED),
