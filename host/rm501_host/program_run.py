@@ -30,11 +30,13 @@ from rm501_host.preflight import ProgramFault
 from rm501_host.program import run_external
 from rm501_host.program_plan import PlannedProgram, carry_out_notes, check_and_plan
 from rm501_host.report import RunReport, WireFigures
-from rm501_host.session import BoardSession, open_session
-from rm501_host.session.board_session import Notice, WireTap
+from rm501_host.session import BoardRefusedError, BoardSession, open_session
+from rm501_host.session.board_session import Notice, WireTap, noise_text
+from rm501_host.session.fault_words import fault_text
 from rm501_host.tracking import RunFigures
 from rm501_host.transports import open_transport
 from rm501_protocol.enums import BoardState, HoldCause
+from rm501_protocol.link_events import LinkNoisy
 from rm501_protocol.messages import Hold, Status
 
 _ARM_MOTORS_MASK = 0b11111
@@ -106,12 +108,34 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
 
 async def _connect(config: Config, options: RunOptions, watcher: Watcher) -> BoardSession:
     watcher.phase("connecting")
-    return await open_session(
+    session = await open_session(
         open_transport(_with_baud(options.port_url, config.link.baud)),
         board_config_from(config),
         options.nonce,
         options.wire_tap,
     )
+    try:
+        _require_free(await session.refresh_status(), options.port_url)
+    except BaseException:
+        await session.aclose()
+        raise
+    return session
+
+
+def _require_free(status: Status, port_url: str) -> None:
+    """Refuse a board on which something is left of an earlier motion: only a person may end that."""
+    daemon = f"rm501-host --port {port_url} serve"
+    if status.state is BoardState.FAULT:
+        raise StoppedError(
+            f"a fault is latched, {status.fault.name}: {fault_text(status.fault)}; look at the arm, then: {daemon}, "
+            f"and in another terminal: rm501-host reset --fault {status.fault.name}"
+        )
+    if status.state not in (BoardState.IDLE, BoardState.READY):
+        why = "" if status.hold_cause is HoldCause.NONE else f" ({status.hold_cause.name})"
+        raise RefusedError(
+            f"the board is {status.state.name}{why} in an earlier motion; look at the arm, then: {daemon}, and in "
+            "another terminal: rm501-host reset, which drops the rest of that motion"
+        )
 
 
 def _with_baud(url: str, baud: int) -> str:
@@ -123,7 +147,7 @@ def _with_baud(url: str, baud: int) -> str:
 def _trusted_position(session: BoardSession, arm: Arm) -> tuple[float, ...]:
     status = session.status
     if status is None or status.trusted_mask & _ARM_MOTORS_MASK != _ARM_MOTORS_MASK:
-        raise RefusedError("the arm is not homed; run without --no-home, or home it first")
+        raise RefusedError("the arm is not homed; run without --no-home, or home it in the daemon (serve, then home)")
     return tuple(float(angle) for angle in arm.joints_from_motors(status.positions_steps[:5]))
 
 
@@ -141,7 +165,9 @@ async def _play(
     figures = RunFigures(arm, config, keep_pieces=options.keep_pieces)
     error: Rm501Error | None = None
     began_s, wall_began_s = loop.time(), wall_clock_s()
-    session.add_listener(_HoldTeller(watcher))
+    tell_holds_no_more = session.add_listener(_HoldTeller(watcher))
+    session.add_listener(_NoiseTeller(watcher))
+    in_motion = False
     log = ProgramLog(program.parent, watcher.message)
     try:
         stream = MotionStream(session, config, someone_resumes=False)
@@ -149,6 +175,7 @@ async def _play(
         if options.home:
             await Homing(stream, arm, config).home_all(lambda joint: watcher.phase(f"homing {joint}"))
         watcher.phase("running")
+        in_motion = True
         pieces = carry_out_notes(planned.pieces(), log)
         runs = PieceRuns(figures.of_pieces(pieces))
         while True:
@@ -158,8 +185,16 @@ async def _play(
                 break
     except (StoppedError, ProgramRefusedError) as ended:
         error = ended
+    except BoardRefusedError as refused:
+        if not in_motion:
+            raise
+        # the board takes no more of it: what it has may end in the middle of the path
+        watcher.message(await _hold_and_leave(session, "the board refused a part of the motion", options.port_url))
+        error = refused
     except asyncio.CancelledError:
-        watcher.message(await _hold_and_leave(session))
+        tell_holds_no_more()
+        watcher.message("interrupted: bringing the arm to rest on its path")
+        watcher.message(await _hold_and_leave(session, "interrupted", options.port_url))
         raise
     finally:
         log.close()
@@ -171,7 +206,7 @@ async def _play(
         cycle_s=round(figures.cycle_s, 6),
         motion_s=round(figures.motion_s, 6),
         segments=figures.segments,
-        wire=WireFigures(stats.bytes_out, stats.bytes_in, stats.retransmits),
+        wire=WireFigures(stats.bytes_out, stats.bytes_in, stats.retransmits, stats.bad_frames),
         limits=figures.limits,
         tracking=figures.tracking,
         speed_ratio=took_s / wall_s if wall_s > 0 else 0.0,
@@ -204,6 +239,19 @@ async def _act(mark: Piece, config: Config, watcher: Watcher) -> bool:
     return True
 
 
+class _NoiseTeller:
+    """Tells the operator once that the line is bad."""
+
+    def __init__(self, watcher: Watcher) -> None:
+        self._watcher = watcher
+        self._told = False
+
+    def __call__(self, notice: Notice) -> None:
+        if isinstance(notice, LinkNoisy) and not self._told:
+            self._told = True
+            self._watcher.message(noise_text(notice))
+
+
 class _HoldTeller:
     """Tells the operator once about each hold, why it is and who ends it."""
 
@@ -227,18 +275,18 @@ _HOLDS = {
 }
 
 
-async def _hold_and_leave(session: BoardSession) -> str:
+async def _hold_and_leave(session: BoardSession, why: str, port_url: str) -> str:
     """Bring the arm to rest on its path before this process ends; what to tell the operator."""
     try:
         status = await session.refresh_status()
         if status.state is BoardState.RUNNING:
             status = await session.command(Hold(), lambda now: now.state in (BoardState.HELD, BoardState.READY))
     except Rm501Error as error:
-        return f"interrupted, and the board could not be told: {error}; it holds by itself when the link is silent"
+        return f"{why}, and the board could not be told: {error}; it holds by itself when the link is silent"
     if status.state is BoardState.HELD:
         trust = "trusted" if status.trusted_mask & _ARM_MOTORS_MASK == _ARM_MOTORS_MASK else "not trusted"
         return (
-            f"interrupted: the arm holds on its path, motors on, position {trust}; CYCLE START or "
-            "`rm501-host serve` and `resume` go on, `stop` ends it"
+            f"{why}: the arm holds on its path, motors on, position {trust}; what is left of the motion is dropped by: "
+            f"rm501-host --port {port_url} serve, and in another terminal: rm501-host reset"
         )
-    return f"interrupted: the arm is at rest, the board {status.state.name}"
+    return f"{why}: the arm is at rest, the board {status.state.name}"

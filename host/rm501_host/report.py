@@ -11,11 +11,12 @@ from rm501_host.storage import write_atomic
 
 @dataclass(frozen=True, slots=True)
 class WireFigures:
-    """What went over the wire during the run, framing included."""
+    """What went over the wire during the run, framing included; `bad_frames` came in broken and were sent again."""
 
     bytes_out: int
     bytes_in: int
     retransmits: int
+    bad_frames: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from rm501_host.session.board_session import LinkLostError, Notice
 from rm501_host.storage import JsonLog, PositionFile
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause
 from rm501_protocol.faults import FaultCode
-from rm501_protocol.link_events import LinkHeard, LinkSilent, StopKind
+from rm501_protocol.link_events import LinkHeard, LinkNoisy, LinkSilent, StopKind
 from rm501_protocol.messages import (
     OVERRIDE_ONE,
     FaultReport,
@@ -176,7 +176,9 @@ class Machine:
         found = []
         if self.log.last_error is not None:
             found.append(f"the log cannot be written ({self.log.last_error}); records stay in memory")
-        found += [text for text in (self.arm_state.warning, self.black_box.warning) if text is not None]
+        session = self._port.session
+        noise = None if session is None else session.noise_warning
+        found += [text for text in (self.arm_state.warning, self.black_box.warning, noise) if text is not None]
         return tuple(found)
 
     def on_change(self, listener: Callable[[], None]) -> None:
@@ -544,6 +546,9 @@ class Machine:
                 self._changed()
             case LinkHeard(silent_us=silent_us):
                 self.write_log("link_heard", silent_us=silent_us)
+                self._changed()
+            case LinkNoisy(bad_frames=bad_frames, frames=frames):
+                self.write_log("link_noisy", bad_frames=bad_frames, frames=frames)
                 self._changed()
             case _:
                 pass

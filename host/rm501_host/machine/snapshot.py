@@ -14,6 +14,16 @@ from rm501_protocol.faults import FaultCode
 from rm501_protocol.messages import RATE_ONE, Status
 
 _FRAME_MASK = 0xFFFFFFFF
+_HOLD_REMEDIES = {
+    HoldCause.NONE: "",
+    HoldCause.USER: "resume goes on, abort ends the motion; the position is trusted",
+    HoldCause.BUTTON: "CYCLE START or resume go on, abort ends the motion; the position is trusted",
+    HoldCause.OVERRIDE: "raise the feed override",
+    HoldCause.LOW_WATER: "the host was late; it goes on by itself once enough is queued",
+    HoldCause.LINK_LOST: (
+        "the line or this host was away for a while; the position is trusted: look at the arm, then resume or abort"
+    ),
+}
 
 
 class ProgramView(Protocol):
@@ -82,7 +92,7 @@ def snapshot(machine: Machine, program: ProgramView, time_s: float, *, jog_dampe
         run_state=machine.state.run.value,
         mode=machine.mode.value,
         cause=_why(machine, status) if cause is None else cause.text,
-        remedy="" if cause is None else cause.remedy,
+        remedy=_remedy(status) if cause is None else cause.remedy,
         activity=machine.job.kind.value if machine.job is not None else "",
         motion_id=machine.last_job_id,
         owner="" if machine.lease.owner is None else machine.lease.owner.name,
@@ -127,6 +137,10 @@ def _why(machine: Machine, status: Status | None) -> str:
     if status is not None and status.hold_cause:
         return f"held: {HoldCause(status.hold_cause).name}"
     return ""
+
+
+def _remedy(status: Status | None) -> str:
+    return "" if status is None or not status.hold_cause else _HOLD_REMEDIES[HoldCause(status.hold_cause)]
 
 
 def _position(machine: Machine) -> tuple[float, ...] | None:
