@@ -15,6 +15,7 @@ SHORT: dict[str, tuple[str, ...]] = {
     "kinematics": ("--n", "1e4", "--no-passages"),
     "interpreter": ("--n", "1e4", "--memory-lines", "1e5"),
     "planner": (),
+    "backlash": ("--no-emulator",),
     "clock_sync": ("--n", "2000"),
     "fuzz_frames": ("--n", "1e5"),
     "soak": ("--hours", "0.2", "--stops", "200"),

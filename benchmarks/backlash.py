@@ -23,6 +23,7 @@ from rm501_host.moves import JointMove, Move
 from rm501_host.planner import Planner
 from rm501_host.planner.limits import Limits
 from rm501_host.segmenter import OffsetLaw, PlannedSegment, Segmenter
+from rm501_host.segmenter.backlash import REVERSAL_STEPS
 from rm501_host.segmenter.fit import to_q48
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.enums import SegmentFlag
@@ -37,7 +38,8 @@ PLAIN = load_config()
 ARM = Arm.from_config(PLAIN)
 PLAY_DEG = (0.2, 0.1, 0.1, 0.15, 0.15)
 EMULATED_PLAY_DEG = 0.6
-WORST_REST_STEPS = 0.01
+WORST_REST_STEPS = REVERSAL_STEPS + 0.001
+"""A joint that comes back by less is not sent over: it stands off by what it came back."""
 WORST_SPREAD_STEPS = 1.5
 SHARES = (0.05, 0.1, 0.2, 0.3, 0.5)
 
