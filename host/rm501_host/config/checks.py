@@ -106,6 +106,14 @@ def _about_joint(key: str, joint: JointSection) -> list[Complaint]:
             Complaint(f"{key}.home.input", f"{home.input!r} is no switch input", f"use one of {_SWITCH_INPUTS}")
         )
     towards = -1.0 if home.active == "below" else 1.0
+    if (home.home_deg - home.switch_deg) * towards >= 0 and not home.ignore_limits:
+        found.append(
+            Complaint(
+                f"{key}.home.ignore_limits",
+                f"the home position {home.home_deg} lies where the switch at {home.switch_deg} is active",
+                "set it, or put the home position on the open side of the switch",
+            )
+        )
     if home.search_deg_s * towards <= 0:
         found.append(
             Complaint(

@@ -32,6 +32,7 @@ from rm501_host.motion import Progress
 from rm501_host.planner import plan_joint_move
 from rm501_host.preflight.keep_out import KeepOut
 from rm501_host.session import BoardRefusedError, BoardSession
+from rm501_protocol.board_config import InputId
 from rm501_protocol.enums import SegmentFlag
 from rm501_protocol.faults import RefusalReason
 from rm501_protocol.messages import Lease
@@ -125,8 +126,9 @@ class Jogger:
             if not machine.stopped_by_lease():
                 raise
         except BoardRefusedError as error:
-            # the lease ran out before a segment arrived: nobody asks for the jog any more
-            if error.refused.reason is not RefusalReason.NO_LEASE:
+            # the lease ran out before a segment arrived, or what was on its way found the queue dropped: nobody asks
+            # for the jog any more
+            if error.refused.reason is not RefusalReason.NO_LEASE and not machine.stopped_by_lease():
                 raise
             ended_without_motion = True
         finally:
@@ -186,6 +188,7 @@ class Jogger:
                 reach, reason = free, zone
             cap = min(cap, self._teach_cap(start, joint))
         else:
+            self._refuse_into_switch(joint, sign)
             reason = "an unhomed joint goes no farther in one jog"
             reach = min(UNHOMED_REACH_DEG, UNHOMED_REACH_DEG if distance is None else distance)
             cap = min(cap, UNHOMED_SPEED * section.max_velocity_deg_s)
@@ -200,6 +203,17 @@ class Jogger:
             source=JOG_SOURCE,
         )
         return PlannedJog(pieces, JogPath(reach=reach, reason=reason))
+
+    def _refuse_into_switch(self, joint: int, sign: float) -> None:
+        """An unhomed joint leaves its active switch, it does not go farther into it."""
+        home = self._machine.config.joints.ordered[joint].home
+        status = self._machine.board_status
+        into = -1.0 if home.active == "below" else 1.0
+        if status is None or home.ignore_limits or sign != into or not status.inputs >> InputId[home.input] & 1:
+            return
+        raise RefusedError(
+            f"{JOINT_NAMES[joint]} is not homed and {home.input} is active; jog the other way or home the joint"
+        )
 
     def _free_deg(self, start: Sequence[float], joint: int, sign: float, reach: float) -> tuple[float, str]:
         """How far a joint may turn before the arm enters a keep-out zone, deg, and which.

@@ -7,12 +7,18 @@ One joint, with the speeds of `[joints.NAME.home]`::
     3  latch        away, slowly, until it releases: the latched count is the switch
     4  once more    close and release again; both latches must agree within latch_spread_deg
     5  set          the latched place is switch_deg (LinuxCNC's HOME_OFFSET for opposite search and latch directions)
-    6  go home      to home_deg
+    6  go home      to home_deg, stopped by the switch should it close again, unless ignore_limits is set
 
 Before a joint is homed its angle means nothing, so moves are planned in *counter coordinates*: the joint angles that
 the board's step counts would have if zero counts were zero degrees. `offset_deg` leads from there to the true angle.
 Motors are set, and with it trusted, once every joint they carry is homed: the two wrist motors only after pitch and
 roll both are.
+
+The switch marks one end of where homing may take its joint (LinuxCNC's limit switch that is the home switch, too): an
+active one is only ever left, and the home position lies on its open side, so a switch that closes on the way home is
+out of place or broken. `ignore_limits` (HOME_IGNORE_LIMITS) says that the home position lies past the switch, as the
+pitch's does: then nothing is asked of it on the way home. After homing the switches stop nothing; programs may work
+past them.
 
 Guarded travel bounds each move, so a switch that is stuck or cut ends in an error that names it, never in a run into
 the end stop without bound.
@@ -133,7 +139,7 @@ class Homing:
         self.homed[index] = True
         correction_deg = self._offset_deg[index] - before_deg
         await self._set_positions(index)
-        await self._move_to(index, home.home_deg)
+        await self._go_home(index)
         return HomedJoint(JOINT_NAMES[index], (first_deg, second_deg), spread_deg, correction_deg)
 
     async def _latch(self, index: int, away: float, speed_deg_s: float) -> float:
@@ -178,12 +184,18 @@ class Homing:
         for joint in joints:
             self._offset_deg[joint] = 0.0
 
-    async def _move_to(self, index: int, angle_deg: float) -> None:
+    async def _go_home(self, index: int) -> None:
+        home = self._config.joints.ordered[index].home
         start_deg = self._counter_deg()
         target_deg = list(start_deg)
-        target_deg[index] = angle_deg - self._offset_deg[index]
+        target_deg[index] = home.home_deg - self._offset_deg[index]
         pieces = plan_joint_move(self._arm, self._config, start_deg, target_deg, ignore_limits=True)
-        await self._stream.play(pieces)
+        if home.ignore_limits:
+            await self._stream.play(pieces)
+            return
+        if await self._stream.play_until(pieces, InputId[home.input], Edge.RISING) is not None:
+            self.homed[index] = False
+            raise self._error(index, "the switch closed again on the way home", "again")
 
     def _counter_deg(self) -> list[float]:
         exact = [position / ONE_STEP for position in self._stream.positions_q48[:5]]
@@ -211,6 +223,7 @@ class Homing:
         remedy = {
             "stuck": "free the switch or mend its wiring (it reads active), then home again",
             "open": "look for a cut wire, a switch out of place or a motor that did not turn, then home again",
+            "again": "mend a loose contact, or set ignore_limits if the home position lies past it; then home again",
             "loose": "tighten the switch, look for bounce and play in the joint, then home again",
         }[kind]
         return HomingError(JOINT_NAMES[index], self._config.joints.ordered[index].home.input, what, remedy)

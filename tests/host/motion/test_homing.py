@@ -68,6 +68,20 @@ def test_a_switch_that_is_stuck_fails_naming_joint_and_switch(joint: str, kind: 
     assert "not trusted" in str(caught.value)
 
 
+def test_a_switch_that_closes_on_the_way_home_stops_there() -> None:
+    # the waist starts 0.2 deg past its switch, it is on its way home from about 3 to 6 s after power-up
+    with pytest.raises(HomingError, match="waist: the switch closed again on the way home .SWITCH_WAIST.") as caught:
+        home("pose=-150.3,60,-60,60,0&fault=switch-stuck-active:joint=waist@4s")
+    assert "ignore_limits" in str(caught.value)
+
+
+def test_a_home_position_past_the_switch_is_reached_when_limits_are_ignored() -> None:
+    pitch = CONFIG.joints.pitch.home
+    assert pitch.ignore_limits and pitch.home_deg < pitch.switch_deg
+    _, truth, _ = home("pose=10,60,-60,60,0")
+    assert truth.joint_deg[3] == pytest.approx(pitch.home_deg, abs=ONE_STEP_DEG)
+
+
 def test_bounce_of_twenty_milliseconds_does_not_move_home() -> None:
     _, truth, _ = home("fault=switch-bounce:joint=waist,ms=20")
     # at 5 deg/s the first contact is up to 0.1 deg of bouncing away from the last
