@@ -117,3 +117,22 @@ def test_a_pulled_plug_stops_the_arm_on_its_path_and_the_host_says_what_to_do(be
     later = bench.ask({"do": "truth"})
     assert first["joint_deg"] == later["joint_deg"]
     assert later["powered"] is True
+
+
+def test_after_an_interrupt_the_arm_holds_and_the_next_run_names_the_way_back(bench: Bench, tmp_path: Path) -> None:
+    program = tmp_path / "short.ngc"
+    program.write_text(SHORT)
+    running = host(bench, "run", str(program))
+    wait_for_steps(bench)
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "holds on its path" in err
+    first = bench.ask({"do": "truth"})
+    again = host(bench, "run", str(program))
+    out, err = again.communicate(timeout=60)
+    assert again.returncode == 5, err
+    assert out == ""
+    assert "serve" in err
+    assert "rm501-host reset" in err
+    assert bench.ask({"do": "truth"})["joint_deg"] == first["joint_deg"]
