@@ -422,8 +422,8 @@ def test_override_slows_the_path_and_zero_holds(tmp_path: Path) -> None:
             assert machine.state is MachineState.HELD
             await machine.set_override(1.0, ME)
             await job.wait()
-            with pytest.raises(RefusedError, match="between 0 and 1"):
-                await machine.set_override(1.5, ME)
+            with pytest.raises(RefusedError, match="between 0 and 2"):
+                await machine.set_override(2.01, ME)
 
     virtual(scenario())
 
