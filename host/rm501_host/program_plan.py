@@ -18,7 +18,7 @@ from rm501_host.config import Config
 from rm501_host.errors import ProgramRefusedError, RefusedError
 from rm501_host.gcode.program_log import LogNote, ProgramLog
 from rm501_host.kinematics import Arm
-from rm501_host.moves import Move, Source
+from rm501_host.moves import Move, PathModeChange, Source, ToolChange
 from rm501_host.planner import Piece, PieceKind, PlanError, Planner
 from rm501_host.planner.pieces import Action
 from rm501_host.preflight import PreflightReport, ProgramCheck, ProgramFault, RollingCheck
@@ -123,7 +123,8 @@ class PlannedProgram:
                 if isinstance(move, LogNote):
                     notes.append((move, last))
                 else:
-                    last = move.source
+                    if not isinstance(move, PathModeChange | ToolChange):
+                        last = move.source
                     yield move
 
         for piece in self._planner.plan(moves()):
