@@ -18,6 +18,8 @@ from rm501_host.gcode.motion import PLANE_AXES, swept_angle
 from rm501_host.gcode.state import rotate
 
 _ZERO = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_NO_TRAVEL_MM = 1e-7
+"""As the planner has it: below this X, Y, Z stand still and F is deg/min."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +148,10 @@ class Resolver:
             return mv.Feed(self._inverse, mv.FeedMode.INVERSE_TIME)
         return mv.Feed(self._rate * self._mm if linear else self._rate)
 
+    def _travels(self, program: c.Axes) -> bool:
+        """Whether X, Y or Z move to a target: by more than the rounding of an inch."""
+        return math.dist(program[:3], self._program[:3]) >= _NO_TRAVEL_MM
+
     # -- calls
 
     def feed(self, call: c.CanonCall) -> tuple[ResolvedMove, ...]:
@@ -161,7 +167,7 @@ class Resolver:
         match call:
             case c.StraightFeed():
                 program = self._mm_axes(call.target)
-                linear = program[:3] != self._program[:3]
+                linear = self._travels(program)
                 self._program = program
                 return (mv.LinearMove(self._target(program), self._feed(linear), source_of(call.at)),)
             case c.StraightTraverse():
@@ -173,7 +179,7 @@ class Resolver:
                 return (self._nurbs(call),)
             case c.StraightProbe():
                 program = self._mm_axes(call.target)
-                linear = program[:3] != self._program[:3]
+                linear = self._travels(program)
                 self._program = program
                 feed = self._feed(linear)
                 target = self._target(program)
