@@ -52,6 +52,11 @@ def test_degrees_know_no_inch_after_a_joint_move(tmp_path: Path) -> None:
     assert turn.feed == mv.Feed(10.0)
 
 
+def test_degrees_know_no_inch_though_inches_are_rounded(tmp_path: Path) -> None:
+    moves = moves_of(tmp_path, "G21 F300\nG91 G1 X0.1 Y0.3 Z0.7\nG20 F10\nG1 B5\nG1 X1\nM2\n")
+    assert [m.feed.value for m in moves if isinstance(m, mv.LinearMove)] == [300.0, 10.0, pytest.approx(254.0)]
+
+
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_equal_ends_make_a_full_turn_whatever_the_rounding(clockwise: bool, side: float) -> None:
