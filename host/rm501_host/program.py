@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rm501_host.config import Config
 from rm501_host.gcode.canon import Signal
-from rm501_host.gcode.errors import GcodeUnsupportedError, Location
+from rm501_host.gcode.errors import GcodeError, GcodeUnsupportedError, Location
 from rm501_host.gcode.interpreter import Interpreter
 from rm501_host.gcode.program_log import LogNote
 from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve, source_of
@@ -120,11 +120,15 @@ def noting(options: ResolveOptions, notes: list[LogNote]) -> ResolveOptions:
 
 def with_notes_between(moves: Iterable[Move | Action], notes: list[LogNote]) -> Iterator[Move | Action]:
     """The moves with the notes that reading them made, at their places."""
-    for move in moves:
-        if notes:
-            yield from notes
-            notes.clear()
-        yield move
+    try:
+        for move in moves:
+            if notes:
+                yield from notes
+                notes.clear()
+            yield move
+    except GcodeError:
+        yield from notes
+        raise
     yield from notes
 
 
