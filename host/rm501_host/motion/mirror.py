@@ -31,6 +31,7 @@ class Mirror:
         """Nothing is queued, motion stands here."""
         self.positions_q48 = tuple(positions_q48)
         self.end_frame = end_frame
+        self.offsets.end_at(end_frame)
         self.sent.clear()
 
     def end_at(self, positions_q48: Sequence[int], end_frame: int) -> None:

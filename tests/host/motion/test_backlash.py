@@ -93,3 +93,54 @@ def test_the_play_is_known_after_an_abort_in_another_daemon_and_for_verify(tmp_p
             assert abs(result["lost_deg"]) <= 2 * ONE_STEP_DEG
 
     run_virtual(scenario())
+
+
+PROGRAM = """G21 G90 G94 G61 F1500
+G0 X230 Y-60 Z-120 A0 B0 C0
+G64 P2
+o100 repeat [3]
+G1 X260 Y-60 Z-110
+G1 X230 Y60 Z-120
+G1 X260 Y60 Z-110
+G1 X230 Y-60 Z-120
+o100 endrepeat
+M2
+"""
+
+
+def test_override_hold_and_running_back_keep_the_play(tmp_path: Path) -> None:
+    """Cut and replanned in motion, held at any place, run back and forward again: the end is exact, on its flank."""
+    config = with_backlash(STIFF, (0.4, 0.2, 0.2, 0.3, 0.3))
+
+    async def scenario() -> None:
+        async with running_service(tmp_path, config=config) as service:
+            machine, programs = service.machine, service.programs
+            (tmp_path / "programs").mkdir(exist_ok=True)
+            (tmp_path / "programs" / "a.ngc").write_text(PROGRAM)
+            await homed(service)
+            ends = []
+            for disturbed in (False, True):
+                await operations.move_joints(machine, ME, POSE).wait()
+                job = await programs.run(ME, "a.ngc")
+                if disturbed:
+                    await asyncio.sleep(6.0)
+                    await machine.set_override(2.0, ME)
+                    for wait_s in (3.3, 1.7):
+                        await asyncio.sleep(wait_s)
+                        assert await machine.hold(ME)
+                        await asyncio.sleep(2.0)
+                        assert machine.stream is not None
+                        seen = np.array(machine.planning_start_deg)
+                        await programs.run_back(ME, 2.0)
+                        await asyncio.sleep(6.0)
+                        assert float(np.abs(seen - machine.planning_start_deg).max()) > 0.5
+                        await machine.resume(ME)
+                await job.wait()
+                await machine.set_override(1.0, ME)
+                assert machine.stream is not None
+                ends.append((machine.planning_start_deg, machine.stream.offsets.deg))
+            np.testing.assert_allclose(ends[1][0], ends[0][0], atol=1e-4)
+            assert ends[1][1] == ends[0][1]
+            assert {abs(offset) for offset in ends[0][1]} <= {0.0, 0.2, 0.1, 0.15}
+
+    run_virtual(scenario())
