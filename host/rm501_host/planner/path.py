@@ -103,7 +103,27 @@ class PathBuilder:
         return with_feed(self._onto(element, end, move.target), move.feed)
 
     def spline(self, move: SplineMove) -> Element | None:
-        """G5, G5.1, G5.2; None when it does not move."""
+        """G5, G5.1, G5.2 as one element, corners inside or not; None when it does not move."""
+        curve = self._spline_curve(move)
+        return None if curve is None else self._along_spline(curve, curve.length_mm, move)
+
+    def spline_parts(self, move: SplineMove) -> list[Element]:
+        """G5, G5.1, G5.2 as elements that are smooth inside; none when it does not move."""
+        curve = self._spline_curve(move)
+        if curve is None:
+            return []
+        parts = [part for part in curve.smooth_parts() if part.length_mm >= SHORTEST]
+        return [self._along_spline(part, curve.length_mm, move) for part in parts]
+
+    def _along_spline(self, curve: SplineCurve, whole_mm: float, move: SplineMove) -> Element:
+        end = curve.evaluate(np.array([curve.length_mm]))[0][0]
+        element = Element(Space.TASK, curve.length_mm, np.zeros((4, 5)), move.source, curve=curve)
+        element = self._onto(element, end, move.target)
+        if move.feed.mode is FeedMode.INVERSE_TIME:
+            return replace(with_feed(element, move.feed), rate=whole_mm * move.feed.value / 60.0)
+        return with_feed(element, move.feed)
+
+    def _spline_curve(self, move: SplineMove) -> SplineCurve | None:
         if len(move.control_points_mm) < 2:
             return None
         points = self.arm.frame.base_from_program(np.array(move.control_points_mm, dtype=np.float64))
@@ -119,9 +139,7 @@ class PathBuilder:
         apart = float(np.linalg.norm(points[0] - self.task[:3]))
         if apart > 1e-6:
             raise PlanError(f"the curve starts {apart:.4g} mm away from where the tool is", source=move.source)
-        end = np.array([*points[-1], *angles])
-        element = Element(Space.TASK, curve.length_mm, np.zeros((4, 5)), move.source, curve=curve)
-        return with_feed(self._onto(element, end, move.target), move.feed)
+        return curve
 
     def _line(self, target: Target, source: Source) -> Element | None:
         end = self._task_of(target, source)

@@ -126,7 +126,8 @@ class Planner:
             case JointMove():
                 yield from self._add(self._path.joint(move))
             case SplineMove():
-                yield from self._add(self._path.spline(move))
+                for part in self._path.spline_parts(move):
+                    yield from self._add(part)
             case PathModeChange():
                 yield from self._join_held()
                 self._mode = move.mode
