@@ -71,6 +71,11 @@ class Service:
         self.clients[client.owner.id] = client
         return client
 
+    def follow_subscriptions(self) -> None:
+        """Let the board tell its status as often as the quickest subscriber wants it."""
+        periods_s = [client.period_s for client in self.clients.values() if client.is_subscribed]
+        self.machine.set_status_period(round(1000 * min(periods_s, default=1.0)))
+
     def disconnect(self, client: Client) -> None:
         """A client is gone: its jog ends by itself, its program goes on, its lease is free."""
         self.clients.pop(client.owner.id, None)
@@ -105,6 +110,16 @@ class Client:
         """The machine."""
         return self.service.machine
 
+    @property
+    def is_subscribed(self) -> bool:
+        """Whether it gets status changes."""
+        return self._timer is not None
+
+    @property
+    def period_s(self) -> float:
+        """How often it gets them."""
+        return self._period_s
+
     def may(self, access: Access) -> bool:
         """Whether this client may call methods of that level."""
         return access <= self.access
@@ -124,6 +139,7 @@ class Client:
         self._fields = fields
         self._last = self._view()
         self._timer = asyncio.get_running_loop().call_later(self._period_s, self._tick)
+        self.service.follow_subscriptions()
         return self._last
 
     def unsubscribe(self) -> None:
@@ -131,6 +147,7 @@ class Client:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+            self.service.follow_subscriptions()
         self._last = None
 
     def _view(self) -> dict[str, object]:

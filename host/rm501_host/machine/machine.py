@@ -181,6 +181,10 @@ class Machine:
         found += [text for text in (self.arm_state.warning, self.black_box.warning, noise) if text is not None]
         return tuple(found)
 
+    def set_status_period(self, wanted_ms: int) -> None:
+        """How often the board is to tell its status while somebody watches; within 20 to 40 ms."""
+        self._port.set_status_period(wanted_ms)
+
     def on_change(self, listener: Callable[[], None]) -> None:
         """Call `listener` whenever the state changed."""
         self._listeners.append(listener)

@@ -177,6 +177,35 @@ def test_subscription_sends_differences_that_add_up(tmp_path: Path) -> None:
     run_virtual(scenario())
 
 
+def test_who_watches_at_fifty_hertz_sees_a_change_every_time(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            sent: list[dict[str, Any]] = []
+            client = service.connect("test", Access.FULL, lambda body: sent.append(json.loads(body)), lambda: 0)
+            slow = service.connect("slow", Access.READ, lambda body: None, lambda: 0)
+            dispatcher: Dispatcher[Client] = Dispatcher(api)
+            await ask(dispatcher, client, request("reset"))
+
+            async def moved(seconds: float) -> int:
+                """In how many messages of so many seconds the steps had changed."""
+                sent.clear()
+                await asyncio.sleep(seconds)
+                return sum("steps" in message["params"] for message in sent)
+
+            await ask(dispatcher, client, request("home", joints=["waist"]))
+            await ask(dispatcher, slow, request("subscribe", period_ms=1000))
+            await asyncio.sleep(2.0)
+            await ask(dispatcher, client, request("subscribe", period_ms=20))
+            assert await moved(2.0) >= 90
+            # the quickest subscriber decides how often the board tells
+            await ask(dispatcher, client, request("subscribe", period_ms=100))
+            assert 18 <= await moved(2.0) <= 20
+            service.disconnect(client)
+            assert not client.is_subscribed and slow.is_subscribed
+
+    run_virtual(scenario())
+
+
 def test_the_documentation_is_what_runs() -> None:
     assert (REPOSITORY / "docs" / "api.md").read_text("utf-8") == api_document(), (
         "run `python -m rm501_host.daemon.documents docs`"
