@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from pathlib import Path
 from typing import Any
@@ -11,23 +10,14 @@ import click
 import msgspec
 
 from rm501_host.cli.context import CommandContext
-from rm501_host.client.client import DaemonClient
 from rm501_host.client.session import daemon_option, talk
-from rm501_host.commission.derive import Seen, drive_signs, switches_swapped, wrist_matrix
 from rm501_host.commission.diagnosis import diagnose, judge
-from rm501_host.config import JOINT_NAMES
+from rm501_host.commission.lead import STEP_DEG, lead
+from rm501_host.commission.terminal import Console
 from rm501_host.config.loader import load_config
 from rm501_host.errors import RefusedError, StoppedError
 from rm501_host.ini_import.toml_text import toml_text
 from rm501_host.storage.atomic import write_atomic
-
-_STEP_DEG = 5.0
-_POSITIVE = {
-    "waist": "counter-clockwise, seen from above",
-    "shoulder": "up",
-    "elbow": "up (the forearm toward straight)",
-}
-_WATCH_S = 60.0
 
 
 @click.command("verify")
@@ -85,12 +75,13 @@ def commission_command(
     if out.exists() and not force:
         raise click.BadParameter(f"{out} exists; give --force to replace it", param_hint="--out")
     click.echo(
-        "The emergency stop within reach, nobody in the arm's way. Every step moves one joint, slowly, by 5 deg."
+        "The emergency stop within reach, nobody in the arm's way. "
+        f"Every step moves one joint, slowly, by {STEP_DEG:.0f} deg and back."
     )
     config = context.config
-    changes = talk(daemon, token_file, lambda client: _lead(client, context))
-    base = _without_none(msgspec.to_builtins(config))
-    data = _laid_over(base, changes)
+    changes = talk(daemon, token_file, lambda client: lead(client, config, Console()))
+    base = without_none(msgspec.to_builtins(config))
+    data = laid_over(base, changes)
     text = toml_text(data, {}, f"Commissioned for {config.machine.name}.")
     trial = out.with_name(f".{out.name}.trial.toml")
     try:
@@ -99,80 +90,23 @@ def commission_command(
     finally:
         trial.unlink(missing_ok=True)
     write_atomic(out, text.encode())
-    click.echo(f"{out}: written and checked; serve with --config {out}, then home")
-
-
-async def _lead(client: DaemonClient, context: CommandContext) -> dict[str, Any]:
-    config = context.config
-    await client.subscribe(20)
-    inputs = [joint.home.input for joint in config.joints.ordered]
-    seen = {}
-    for name, switch in zip(JOINT_NAMES, inputs, strict=True):
-        seen[switch] = await _watch(client, name, switch, inputs)
-    swap = switches_swapped(seen, config.board.wiring.swap_wrist_switches)
-    if (await client.call("status"))["task_state"] != "ON":
-        await client.call("reset")
-    right = []
-    for name in JOINT_NAMES[:3]:
-        await _step(client, name)
-        right.append(await _ask(f"The {name} was commanded {_POSITIVE[name]}. Did it turn that way?"))
-    wrist = [await _saw(client, name) for name in JOINT_NAMES[3:]]
-    matrix = wrist_matrix(config.drive.wrist_matrix, wrist[0], wrist[1])
-    return {
-        "drive": {"signs": list(drive_signs(config.drive.signs, right)), "wrist_matrix": [list(row) for row in matrix]},
-        "board": {"wiring": {"swap_wrist_switches": swap}},
-    }
-
-
-async def _watch(client: DaemonClient, name: str, switch: str, inputs: list[str]) -> str:
-    """Wait until a person has pressed a joint's switch; the input that became active."""
-    click.echo(f"Press the switch of the {name} by hand and hold it ...")
-    before = set(client.status["inputs"])
-    try:
-        await client.status_where(lambda now: bool((set(now["inputs"]) - before) & set(inputs)), _WATCH_S)
-    except TimeoutError:
-        raise StoppedError(f"no switch closed within {_WATCH_S:.0f} s; look at {switch} and its wiring") from None
-    found: str = sorted((set(client.status["inputs"]) - before) & set(inputs))[0]
-    click.echo(f"  {found}. Let go.")
-    await client.status_where(lambda now: found not in now["inputs"], _WATCH_S)
-    return found
-
-
-async def _step(client: DaemonClient, joint: str) -> None:
-    click.pause(f"Press a key: the {joint} turns by {_STEP_DEG:.0f} deg and back ...")
-    await client.motion("jog.start", frame="joint", axis=joint, speed=3.0, distance=_STEP_DEG)
-    await asyncio.sleep(0.5)
-    await client.motion("jog.start", frame="joint", axis=joint, speed=-3.0, distance=_STEP_DEG)
-
-
-async def _ask(question: str) -> bool:
-    return click.confirm(question)
-
-
-async def _saw(client: DaemonClient, joint: str) -> Seen:
-    await _step(client, joint)
-    words = {
-        "hand-up": Seen.PITCH_PLUS, "hand-down": Seen.PITCH_MINUS,
-        "turned-right": Seen.ROLL_PLUS, "turned-left": Seen.ROLL_MINUS,
-    }  # fmt: skip
-    answer = click.prompt(
-        f"What did the hand do first on {joint}+ (turns are seen along the hand, from the arm)?",
-        type=click.Choice(list(words)),
+    click.echo(
+        f"{out}: written and checked. The board changes its configuration with the motors off only: support the arm, "
+        f"rm501-host stop, end the daemon, serve with --config {out}, then reset and home"
     )
-    return words[answer]
 
 
-def _without_none(table: dict[str, Any]) -> dict[str, Any]:
+def without_none(table: dict[str, Any]) -> dict[str, Any]:
     return {
-        key: _without_none(value) if isinstance(value, dict) else value
+        key: without_none(value) if isinstance(value, dict) else value
         for key, value in table.items()
         if value is not None
     }
 
 
-def _laid_over(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def laid_over(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in changes.items():
         old = merged.get(key)
-        merged[key] = _laid_over(old, value) if isinstance(value, dict) and isinstance(old, dict) else value
+        merged[key] = laid_over(old, value) if isinstance(value, dict) and isinstance(old, dict) else value
     return merged
