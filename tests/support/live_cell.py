@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import random
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
@@ -12,14 +14,16 @@ from numpy.typing import NDArray
 
 from rm501_host.config import Config, load_config
 from rm501_host.daemon.service import Service
+from rm501_host.errors import RefusedError
+from rm501_host.machine import Machine, MachineState
 from rm501_host.motion.mirror import Mirror
 from rm501_host.segmenter import PlannedSegment
 from rm501_protocol.enums import SegmentFlag
 from rm501_protocol.transport import Transport
 from rm501_sim_board.emu_transport import running_board, shut_down
 from rm501_sim_board.emulator import Emulator
-from tests.support.plan_checker import motor_matrix, tool_positions
-from tests.support.virtual_machine import homed, running_service
+from tests.support.plan_checker import motor_matrix, path_deviation_mm, tool_positions
+from tests.support.virtual_machine import ME, homed, running_service
 
 Array = NDArray[np.float64]
 
@@ -166,3 +170,126 @@ def judge(config: Config, segments: Sequence[PlannedSegment]) -> Ratios:
 
 def _ratio(values: Array, limits: Array) -> float:
     return float((np.abs(values) / limits).max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """An undisturbed run: where the pins have been, and how it ended."""
+
+    places_mm: Array
+    steps: tuple[int, ...]
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A disturbed run against the undisturbed one."""
+
+    acts: tuple[str, ...]
+    duration_s: float
+    deviation_mm: float
+    steps_off: int
+    ratios: Ratios
+    cuts: int
+
+    @property
+    def wrong(self) -> str:
+        """What is not as it must be, empty when all is."""
+        found = []
+        if self.deviation_mm > MOST_DEVIATION_MM:
+            found.append(f"{self.deviation_mm:.3f} mm off the path")
+        if self.steps_off:
+            found.append(f"{self.steps_off} steps off at the end")
+        if max(self.ratios.velocity, self.ratios.acceleration) > 1.02:
+            found.append(f"a limit exceeded: {self.ratios}")
+        if self.ratios.jump_steps_s > MOST_JUMP_STEPS_S:
+            found.append(f"a speed jumps by {self.ratios.jump_steps_s:.2f} steps/s")
+        return "; ".join(found)
+
+
+MOST_DEVIATION_MM = 0.3
+"""Both runs round to whole steps of up to 0.25 mm at the tip."""
+MOST_JUMP_STEPS_S = 0.5
+_HELD_S = 20.0
+
+
+async def undisturbed(cell: LiveCell) -> Reference:
+    """Run the program twice as it is: the first run may begin elsewhere."""
+    loop = asyncio.get_running_loop()
+    for _ in range(2):
+        first_frame, began_s = cell.frames(), loop.time()
+        job = await cell.service.programs.run(ME, "live.ngc")
+        await job.wait()
+    stream = cell.service.machine.stream
+    assert stream is not None
+    return Reference(cell.places_mm(first_frame), stream.positions_steps, loop.time() - began_s)
+
+
+async def trial(cell: LiveCell, reference: Reference, rng: random.Random, *, backs: bool, most_acts: int = 6) -> Trial:
+    """Run the program and change the override at random instants, hold, and, with `backs`, run back."""
+    machine, programs = cell.service.machine, cell.service.programs
+    loop = asyncio.get_running_loop()
+    await machine.set_override(rng.choice((1.0, 1.0, 1.6)), ME)
+    acts: list[str] = []
+    with played() as log:
+        first_frame, began_s = cell.frames(), loop.time()
+        job = await programs.run(ME, "live.ngc")
+        for _ in range(rng.randint(1, most_acts)):
+            await asyncio.sleep(rng.uniform(0.05, 4.0))
+            if job.done.is_set():
+                break
+            if rng.random() < (0.6 if backs else 0.15):
+                acts.append(await _hold_and_go_on(cell, rng, backs=backs))
+            else:
+                ratio = rng.choice((0.0, 0.3, 0.8, 1.0, 1.2, 1.5, 2.0, 2.0))
+                acts.append(f"{loop.time() - began_s:.2f} s: override {ratio}")
+                await machine.set_override(ratio, ME)
+        if machine.override < 0.5:
+            await machine.set_override(1.0, ME)
+        await job.wait()
+        duration_s = loop.time() - began_s
+    stream = machine.stream
+    assert stream is not None
+    places = cell.places_mm(first_frame)
+    off = max(abs(a - b) for a, b in zip(stream.positions_steps[:5], reference.steps[:5], strict=True))
+    deviation = path_deviation_mm(places, reference.places_mm)
+    return Trial(tuple(acts), duration_s, deviation, off, judge(cell.config, log.segments), log.cuts)
+
+
+async def _hold_and_go_on(cell: LiveCell, rng: random.Random, *, backs: bool) -> str:
+    """Hold, perhaps run back once or twice, resume; what was done, in words."""
+    machine, programs = cell.service.machine, cell.service.programs
+    if machine.override == 0.0:
+        await machine.set_override(1.0, ME)
+        await asyncio.sleep(0.3)
+    if not await machine.hold(ME) or not await _until_held(machine):
+        return "hold at the end"
+    text = f"hold in line {programs.line}"
+    for _ in range(rng.randint(1, 2) if backs else 0):
+        seconds = rng.choice((0.05, 0.5, 2.0, 5.0, 30.0)) * rng.uniform(0.5, 1.0)
+        try:
+            text += f", back by {await programs.run_back(ME, seconds):.2f} s"
+        except RefusedError as refused:
+            assert "has not moved" in str(refused) or "not held any more" in str(refused), refused
+            continue
+        if rng.random() < 0.3:
+            await asyncio.sleep(rng.uniform(0.1, 0.6))
+            if machine.waiting_for == "" and await machine.hold(ME) and await _until_held(machine):
+                text += " (held on the way)"
+                if not machine.waiting_for:
+                    await machine.resume(ME)
+        async with asyncio.timeout(_HELD_S * 10):
+            while machine.waiting_for != "run back":  # noqa: ASYNC110  # polled from outside
+                await asyncio.sleep(0.05)
+    await machine.resume(ME)
+    return text
+
+
+async def _until_held(machine: Machine) -> bool:
+    """Wait for rest after a hold; False when the motion ended instead."""
+    async with asyncio.timeout(_HELD_S):
+        while machine.state is not MachineState.HELD:
+            if machine.job is None:
+                return False
+            await asyncio.sleep(0.02)
+    return True

@@ -346,6 +346,7 @@ class Machine:
 
     def go_on(self) -> None:
         """End `wait_for_operator` without an operator's resume: somebody has something else for the arm to do."""
+        self.waiting_for = ""
         self._continue.set()
 
     async def wait_for_operator(self, what: str) -> None:

@@ -11,6 +11,8 @@ import asyncio
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from rm501_host.errors import RefusedError, StoppedError
 from rm501_host.gcode.resolve import ExternalAction
 from rm501_host.gcode.user_m import UserMCodeError
@@ -20,7 +22,7 @@ from rm501_host.machine.machine import Machine
 from rm501_host.machine.states import MachineState
 from rm501_host.motion import LivePath, PieceRuns, Progress
 from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProgramEnd, Source
-from rm501_host.planner import Piece
+from rm501_host.planner import Piece, plan_joint_move
 from rm501_host.planner.pieces import Action
 from rm501_host.planner.respeed import Place
 from rm501_host.planner.run_back import KEPT_S
@@ -30,6 +32,7 @@ from rm501_protocol.enums import HoldCause
 
 RUN_BACK = "run back"
 """What the operator is waited for after running back."""
+_SAME_DEG = 1e-6
 _INPUT_POLL_S = 0.01
 _IMMEDIATE, _RISE, _FALL, _HIGH = range(4)
 """M66 L0 to L3; L4 is low."""
@@ -175,13 +178,21 @@ class Player:
                 raise StoppedError("the machine was switched off")
             self._is_going_back = True
             try:
-                await machine.stream.play(pieces, self._on_progress)
+                await machine.stream.play((*self._onto(pieces[0]), *pieces), self._on_progress)
             finally:
                 self._is_going_back = False
             self._place = place
             self.played_s = live.time_s(place)
             live.go_on_from(place)
             await machine.wait_for_operator(RUN_BACK)
+
+    def _onto(self, first: Piece) -> tuple[Piece, ...]:
+        """From where a hold has left the arm to where `first` starts: the segments' tolerance lies between."""
+        start_deg = np.array(self._machine.planning_start_deg)
+        goal_deg = first.q_deg(np.zeros(1))[0]
+        if float(np.abs(goal_deg - start_deg).max()) < _SAME_DEG:
+            return ()
+        return plan_joint_move(self._machine.arm, self._machine.config, start_deg, goal_deg, ignore_limits=True)
 
     # --------------------------------------------------------------------------------------------- at rest
 
