@@ -137,7 +137,7 @@ class Core:
         self.fired = 0  # u8, triggers to report
         self.reports = 0  # u8
         self.heard_frame = 0  # u64
-        self.link_silent = 0  # u1: link timeout taken notice of
+        self.link_silent = 0  # u2: silence taken notice of, 1 while moving, 2 at rest
         self.lease_end = 0  # u64
         self.master_reset_end = 0  # u64
         self.status_frames = layout.status_frames  # u32
@@ -222,18 +222,19 @@ class Core:
         self.link_timers(now)
 
     def link_timers(self, now: int) -> None:
-        """Silence of the link: while moving it holds, for long at rest it switches power off."""
+        """Silence of the link: while moving it holds; long at rest, also after such a hold, it switches power off."""
         layout = self.layout
-        limit = layout.link_timeout_frames if self.motion.moving else layout.idle_power_off_frames
-        if limit == 0 or self.link_silent:
+        moving = self.motion.moving
+        limit = layout.link_timeout_frames if moving else layout.idle_power_off_frames
+        if limit == 0 or self.link_silent > (0 if moving else 1):
             return
         due = self.heard_frame + limit
         if now < due:
             if due < self.wake:
                 self.wake = due
             return
-        self.link_silent = 1
-        if self.motion.moving:
+        self.link_silent = 1 if moving else 2
+        if moving:
             if self.answers(Stimulus.LINK_LOST):
                 self.hold(HoldCause.LINK_LOST)
         elif self.answers(Stimulus.LINK_IDLE):

@@ -175,7 +175,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         _u("fired", 8),
         _u("reports", 8),
         _u("heard_frame", 64),
-        _u("link_silent", 1),
+        _u("link_silent", 2),
         _u("lease_end", 64),
         _u("master_reset_end", 64),
         _u("status_frames", 32),

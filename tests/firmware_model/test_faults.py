@@ -185,6 +185,21 @@ def test_fault_9_idle_silence_switches_power_off_where_configured() -> None:
     assert quiet.state is BoardState.READY  # 0: never
 
 
+@pytest.mark.parametrize("board", [Board, FastBoard])
+def test_fault_9_power_goes_off_after_a_hold_for_silence_too(board: type[Board]) -> None:
+    config = replace(RM501_BOARD, link=replace(RM501_BOARD.link, idle_power_off_ms=5000))
+    rig = Rig(config, board=board)
+    rig.go(*cruise(rig))
+    rig.run(3000)
+    rig.cut = True
+    silent_since = rig.core.real_frame
+    rig.run_to(BoardState.HELD, step=20)
+    rig.run(silent_since + 15_000 - rig.core.real_frame, 100)
+    assert rig.state is BoardState.HELD
+    rig.run(700)
+    assert rig.state is BoardState.IDLE
+
+
 def test_a_new_session_while_moving_holds_until_a_user_resumes() -> None:
     rig = to_running()
     rig.host.connect(4321, rig.now_us)

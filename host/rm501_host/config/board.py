@@ -51,7 +51,7 @@ def board_config_from(config: Config) -> BoardConfig:
             stroke_pulses=config.hand.stroke_pulses,
             max_pulses=config.hand.stroke_pulses * 3 // 2,
         ),
-        link=ConfigLink(link_timeout_ms=board.link_timeout_ms),
+        link=ConfigLink(link_timeout_ms=board.link_timeout_ms, idle_power_off_ms=board.idle_power_off_ms),
     )
 
 

@@ -168,7 +168,9 @@ class BoardSection(_Section, frozen=True):
     base_period_us: PositiveInt
     table: tuple[int, ...]
     debounce_frames: PositiveInt
-    link_timeout_ms: PositiveInt
+    link_timeout_ms: Annotated[int, Meta(gt=0, le=65_535)]
+    idle_power_off_ms: Annotated[int, Meta(ge=0, le=65_535)] = 0
+    """Silence at rest that switches motor power off; 0: never."""
     jog_lease_ms: PositiveInt
     limit_margin: Annotated[float, Meta(ge=1.0, le=1.2)]
     digital_outputs: Annotated[tuple[Annotated[str, Meta(pattern=r"^[01]\.\d{1,2}$")], ...], Meta(max_length=8)]

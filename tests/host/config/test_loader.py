@@ -118,3 +118,10 @@ def test_wiring_options_move_the_pins(tmp_path: Path) -> None:
     assert switches["SWITCH_ROLL"].bit == lines["SWITCH_PITCH"].bit
     assert switches["ESTOP"].role == 0
     assert board.problems() == ()
+
+
+def test_the_silence_that_switches_power_off_reaches_the_board(tmp_path: Path) -> None:
+    path = tmp_path / "careful.toml"
+    path.write_text(f'extends = "{ROOT / "configs" / "rm501.toml"}"\n[board]\nidle_power_off_ms = 5000\n')
+    assert board_config_from(load_config(path)).link.idle_power_off_ms == 5000
+    assert board_config_from(load_config(None)).link.idle_power_off_ms == 0
