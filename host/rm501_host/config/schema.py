@@ -162,7 +162,7 @@ class WiringSection(_Section, frozen=True):
     buttons: bool
 
 
-class BoardSection(_Section, frozen=True):
+class BoardSection(_Section, frozen=True, kw_only=True):
     """`[board]`: the scan, the pulse rules, the wiring and the watchdogs of the microcontroller."""
 
     base_period_us: PositiveInt
