@@ -205,8 +205,9 @@ def _is_travel(slope: Array) -> bool:
 
 
 def _angle(a: Array, b: Array) -> float:
+    """Between two directions, rad; a curve that begins or ends without one (a cusp) counts as a reversal."""
     size = float(np.linalg.norm(a)) * float(np.linalg.norm(b))
-    return acos(max(-1.0, min(1.0, float(a @ b) / size)))
+    return pi if size == 0.0 else acos(max(-1.0, min(1.0, float(a @ b) / size)))
 
 
 def _distances(points: Array, path: Array) -> Array:

@@ -22,6 +22,8 @@ from .splines import SplineCurve
 
 SHORTEST = 1e-7
 """Below this many mm or deg a move is none."""
+MOST_TURN_DEG_MM = 1e3
+"""A line along which the tool turns more than this is measured in deg."""
 
 
 def task_values(arm: Arm, q_deg: Array) -> Array:
@@ -144,11 +146,14 @@ class PathBuilder:
     def _line(self, target: Target, source: Source) -> Element | None:
         end = self._task_of(target, source)
         length = float(np.linalg.norm(end[:3] - self.task[:3]))
+        turn = float(np.linalg.norm(end[3:] - self.task[3:]))
         if length < SHORTEST:
             end[:3] = self.task[:3]
-            length = float(np.linalg.norm(end[3:] - self.task[3:]))
-            if length < SHORTEST:
+            if turn < SHORTEST:
                 return None
+        # next to no way for a large turn: deg are the better measure of how far it has come, F stays mm/min
+        if turn > MOST_TURN_DEG_MM * length:
+            length = turn
         return self._onto(line(Space.TASK, self.task, end, length, source), end, target)
 
     def _onto(self, element: Element, end: Array, target: Target) -> Element:

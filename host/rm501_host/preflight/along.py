@@ -15,6 +15,7 @@ from .batch import BatchPoints
 from .collector import Collector
 from .findings import Finding, FindingKind, Severity
 from .keep_out import KeepOut
+from .singular import singular_places
 from .via import suggest_via
 
 Array = NDArray[np.float64]
@@ -61,6 +62,7 @@ class AlongCheck:
             bad.add(int(index[point]))
             self._missing(arm, points, point, values[point])
         self._ranges(arm, points, q_deg, q1, bad)
+        self._singular(arm, points, values, q_deg, q1, bad)
         self._speeds(arm, points, q_deg, q1, missing | ~np.isfinite(q1).all(axis=1))
         if not self._keep_out.is_empty:
             self._places(arm, points, q_deg, missing, margin_mm)
@@ -125,6 +127,28 @@ class AlongCheck:
                     "deg",
                     "go there with a joint move (G0)" if in_task else "stay within the range",
                     suggest_via(arm, points.start_deg[number], points.goal[number]) if helps else None,
+                ),
+                points.numbers[number],
+            )
+
+    def _singular(
+        self, arm: Arm, points: BatchPoints, values: Array, q_deg: Array, q1: Array, bad: set[int]
+    ) -> None:
+        for point in singular_places(arm, self._limits, points.table, points.index, points.s, values, q1):
+            number = int(points.index[point])
+            if number in bad:
+                continue
+            self._found.add(
+                Finding(
+                    Severity.ERROR,
+                    FindingKind.SINGULARITY,
+                    points.sources[number],
+                    "the path runs through a singularity, where the joints would have to jump",
+                    float(points.s[point]),
+                    tuple(float(v) for v in q_deg[point]),
+                    None,
+                    "",
+                    "pass it at a distance, or use a joint move (G0)",
                 ),
                 points.numbers[number],
             )
