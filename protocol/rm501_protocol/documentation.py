@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from . import enums, link_core, messages, send_window
 from .board_config import INPUT_LINES, OUTPUT_LINES, RM501_BOARD
+from .config_pages import InputRole, OutputSource, SlotSource
 from .declaration import CustomPayload, Direction, Message, fields_of, registry
 from .faults import FAULT_TEXTS, REFUSAL_TEXTS
 from .framing import MAX_PACKET, StreamCodec
@@ -76,10 +77,10 @@ def _layout(text: str) -> str:
 
 def _enums() -> str:
     parts = []
-    for name in enums.__all__:
-        enum: type[IntEnum] = getattr(enums, name)
-        members = ", ".join(f"{int(member)} {member.name}" for member in enum)
-        parts.append((name, members))
+    shown: list[type[IntEnum]] = [getattr(enums, name) for name in enums.__all__]
+    shown += [OutputSource, SlotSource, InputRole]
+    for enum in sorted(shown, key=lambda one: one.__name__):
+        parts.append((enum.__name__, ", ".join(f"{int(member)} {member.name}" for member in enum)))
     return _table(("enum", "values"), parts)
 
 
