@@ -131,9 +131,7 @@ class AlongCheck:
                 points.numbers[number],
             )
 
-    def _singular(
-        self, arm: Arm, points: BatchPoints, values: Array, q_deg: Array, q1: Array, bad: set[int]
-    ) -> None:
+    def _singular(self, arm: Arm, points: BatchPoints, values: Array, q_deg: Array, q1: Array, bad: set[int]) -> None:
         for point in singular_places(arm, self._limits, points.table, points.index, points.s, values, q1):
             number = int(points.index[point])
             if number in bad:
