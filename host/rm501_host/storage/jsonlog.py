@@ -1,11 +1,13 @@
 """The structured log: one JSON object a line, rotated by size, with a ring in memory beside it.
 
 The disk may be full or gone; motion must not notice. A failed write is counted, the record stays in the ring, and
-the file is tried again after `retry_s`. When it works again, the first line says how many records it lacks.
+the file is tried again after `retry_s`. When it works again, what was missed is written first as far as the ring has
+it, and a gap says how many records are lost. A line is written whole or not at all.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 from collections import deque
@@ -97,16 +99,30 @@ class JsonLog:
             self._rotate()
         if self._file is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
+            torn = _ends_in_a_line(self.path)
             self._file = self._open(self.path)
             self._size = self._file.seek(0, os.SEEK_END)
+            if torn:
+                line = b"\n" + line
         if self.unwritten:
-            lost = LogRecord(record.time_s, record.utc, "log_gap", {"records_missing": self.unwritten})
-            line = lost.encode() + line
-        self._file.write(line)
+            line = self._late(record) + line
+        written = 0
+        while written < len(line):
+            written += self._file.write(line[written:])
         self._file.flush()
         self._size += len(line)
         self.unwritten = 0
         self.last_error = None
+
+    def _late(self, record: LogRecord) -> bytes:
+        """What could not be written so far, as far as the ring still has it; the rest as a gap with its size."""
+        kept = list(self.ring)[:-1][-self.unwritten :]
+        notes = [LogRecord(record.time_s, record.utc, "log_late", {"records": len(kept)})]
+        if self.unwritten > len(kept):
+            notes.append(
+                LogRecord(record.time_s, record.utc, "log_gap", {"records_missing": self.unwritten - len(kept)})
+            )
+        return b"".join(entry.encode() for entry in (*notes, *kept))
 
     def _rotate(self) -> None:
         assert self.path is not None
@@ -124,11 +140,25 @@ class JsonLog:
         self.last_error = reason
         self.unwritten += 1
         self._retry_at_s = self._clock_s() + self._retry_s
-        try:
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._size)  # a part of a line may have found room
+        with contextlib.suppress(OSError):
             self.close()
-        except OSError:
-            self._file = None
+        self._file = None
 
 
 def _open_append(path: Path) -> BinaryIO:
-    return path.open("ab")
+    return path.open("ab", buffering=0)
+
+
+def _ends_in_a_line(path: Path) -> bool:
+    """Whether the file ends in the middle of a line: its writer was killed."""
+    try:
+        with path.open("rb") as file:
+            if file.seek(0, os.SEEK_END) == 0:
+                return False
+            file.seek(-1, os.SEEK_END)
+            return file.read(1) != b"\n"
+    except FileNotFoundError:
+        return False
