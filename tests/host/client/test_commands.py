@@ -92,7 +92,11 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
     assert json.loads(jogged.stdout)["joints_deg"][0] == pytest.approx(2.0, abs=0.03)
     held_key = run("jog", "waist", "-6", "--seconds", "0.5", socket=socket, json_output=True)
     assert held_key.returncode == 0 and json.loads(held_key.stdout)["joints_deg"][0] < 2.0
+    path = socket.parent / "way.csv"
+    path.write_text("t_s,waist,shoulder,elbow,pitch,roll\n6,10,60,-60,60,0\n")
     for arguments, why in (
+        (("follow", str(path)), "not homed"),
+        (("limits", "--velocity", "waist=99"), "joints.waist.max_velocity_deg_s 99 is not within 0.3 to 30"),
         (("teach", "go", "nowhere"), "no teach point"),
         (("teach", "record", "here"), "not homed"),
         (("send", str(REPOSITORY / "examples" / "pick_and_place.ngc")), "not homed"),
@@ -102,6 +106,12 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
     ):
         refused = run(*arguments, socket=socket)
         assert refused.returncode == 5 and why in refused.stderr, (arguments, refused)
+    lowered = run("limits", "--velocity", "waist=10", "--tool", "80", socket=socket)
+    assert lowered.returncode == 0 and "waist           10       30" in lowered.stdout
+    assert "limits   lowered: 10 " in run("status", socket=socket).stdout
+    restored = json.loads(run("limits", "--reset", socket=socket, json_output=True).stdout)
+    assert restored["in_force"] == restored["hard"]
+    assert run("limits", "--velocity", "knee=1", socket=socket).returncode == 2
     assert run("gripper", "close", socket=socket).returncode == 0
     assert json.loads(run("status", socket=socket, json_output=True).stdout)["hand"] == "CLOSED"
     assert run("stop", socket=socket).returncode == 0

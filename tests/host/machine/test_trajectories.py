@@ -11,8 +11,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from rm501_host.client.client import DaemonClient, RemoteRefusedError
 from rm501_host.client.trajectory_file import TrajectoryFileError, read_trajectory
 from rm501_host.config.schema import BoxSection
+from rm501_host.daemon.access import Access
+from rm501_host.daemon.methods import api
+from rm501_host.daemon.rpc import MAX_BODY_BYTES, Dispatcher
+from rm501_host.daemon.service import Client, Service
 from rm501_host.errors import RefusedError, StoppedError
 from rm501_host.machine import MachineState, operations
 from rm501_host.machine.trajectories import TimedPoints, follow
@@ -99,17 +104,55 @@ def test_trajectories_are_checked_followed_held_and_stopped(tmp_path: Path) -> N
     run_virtual(scenario())
 
 
-def test_velocities_are_met_at_the_points(tmp_path: Path) -> None:
+class InProcess:
+    """A client's line straight into a dispatcher; keeps the sizes of what was sent."""
+
+    def __init__(self, service: Service) -> None:
+        self._answers: asyncio.Queue[bytes | None] = asyncio.Queue()
+        self._client = service.connect("test", Access.FULL, self._answers.put_nowait, lambda: 0)
+        self._dispatcher: Dispatcher[Client] = Dispatcher(api)
+        self.sizes: list[int] = []
+
+    async def send(self, message: bytes) -> None:
+        self.sizes.append(len(message))
+        answer = await self._dispatcher.answer(message, self._client)
+        self._answers.put_nowait(answer)
+
+    async def receive(self) -> bytes | None:
+        return await self._answers.get()
+
+    async def aclose(self) -> None:
+        self._answers.put_nowait(None)
+
+
+def test_a_client_sends_a_long_trajectory_in_pieces(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with running_service(tmp_path) as service:
             machine = service.machine
             await homed(service)
             await operations.move_joints(machine, ME, START).wait()
-            rates = ((2.0, 0.4, 1.0, -1.0, 1.0), (0.0,) * 5)
-            job = await follow(machine, ME, TimedPoints((VIA, GOAL), (6.0, 12.0), rates))
-            await asyncio.sleep(0.0)
-            await job.wait()
-            assert machine.planning_start_deg == pytest.approx(GOAL, abs=0.003)
+            line = InProcess(service)
+            async with DaemonClient(line) as client:
+                times = np.linspace(0.0, 10.0, 1501)
+                share = (1.0 - np.cos(np.pi * times / 10.0)) / 2.0
+                rate = np.pi / 20.0 * np.sin(np.pi * times / 10.0)
+                step = np.array(GOAL) - np.array(machine.arm_state.joints_deg)
+                points = np.array(machine.arm_state.joints_deg) + share[:, None] * step
+                started = await client.follow(points.tolist(), times.tolist(), (rate[:, None] * step).tolist())
+                assert len(line.sizes) == 6 and max(line.sizes) < MAX_BODY_BYTES
+                result = await client.wait(started)
+                assert result["duration_s"] == pytest.approx(10.0, abs=4e-4)
+                assert machine.planning_start_deg == pytest.approx(GOAL, abs=0.003)
+                # a piece without velocities does not go on where one with them began, and nothing is left behind
+                row, still = [list(GOAL)], [[0.0] * 5]
+                await client.call("move.trajectory", points_deg=row, times_s=[1.0], velocities_deg_s=still, more=True)
+                with pytest.raises(RemoteRefusedError, match="with all points"):
+                    await client.call("move.trajectory", points_deg=row, times_s=[2.0])
+                with pytest.raises(RemoteRefusedError, match="must rise"):
+                    await client.follow([list(START), list(GOAL)], [2.0, 1.0])
+                with pytest.raises(RemoteRefusedError, match=r"5"):
+                    await client.follow([[1.0, 2.0]], [2.0])
+
             with pytest.raises(PlanError, match="ends at rest"):
                 await follow(machine, ME, TimedPoints((START,), (9.0,), ((1.0, 0.0, 0.0, 0.0, 0.0),)))
 
