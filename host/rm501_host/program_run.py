@@ -25,7 +25,7 @@ from rm501_host.gcode.user_m import UserMCodeError
 from rm501_host.kinematics import Arm
 from rm501_host.motion import Homing, MotionStream, PieceRuns, Progress
 from rm501_host.moves import Message, Pause, ProgramEnd
-from rm501_host.planner import Piece, Plan
+from rm501_host.planner import Limits, Piece, Plan
 from rm501_host.preflight import ProgramFault
 from rm501_host.program import run_external
 from rm501_host.program_plan import PlannedProgram, carry_out_notes, check_and_plan
@@ -92,12 +92,16 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
         else:
             session = await _connect(config, options, watcher)
             watcher.phase("planning")
-            if any(joint.backlash_deg > 0.0 for joint in config.joints.ordered):
+            if Limits.from_config(config).backlash_deg.any():
                 watcher.message(
                     "on which side of its play each joint stands is not known: angles may be off by half the play "
                     "until each has moved by as much"
                 )
-            planned = check_and_plan(program, arm, config, _trusted_position(session, arm), watcher.message)
+            start_deg = _trusted_position(session, arm)
+            # away from the loop: a board that hears nothing for a second takes its host for gone
+            planned = await asyncio.get_running_loop().run_in_executor(
+                None, lambda: check_and_plan(program, arm, config, start_deg, watcher.message)
+            )
         return await _play(program, planned, session, arm, config, options, watcher)
     finally:
         if planned is not None:

@@ -16,8 +16,10 @@ from tests.support.plan_checker import ideal_joints, motor_matrix
 Array = NDArray[np.float64]
 
 
-def with_backlash(config: Config, backlash_deg: Sequence[float], **planner: float) -> Config:
-    """The configuration with this play per joint, and changes of `[planner]`."""
+def with_backlash(
+    config: Config, backlash_deg: Sequence[float], wrist_deg: tuple[float, float] = (0.0, 0.0), **planner: float
+) -> Config:
+    """The configuration with this play per joint and per wrist motor, and changes of `[planner]`."""
     joints = {
         name: msgspec.structs.replace(joint, backlash_deg=play)
         for name, joint, play in zip(JOINT_NAMES, config.joints.ordered, backlash_deg, strict=True)
@@ -25,6 +27,11 @@ def with_backlash(config: Config, backlash_deg: Sequence[float], **planner: floa
     return msgspec.structs.replace(
         config,
         joints=msgspec.structs.replace(config.joints, **joints),
+        motors=msgspec.structs.replace(
+            config.motors,
+            right_wrist=msgspec.structs.replace(config.motors.right_wrist, backlash_deg=wrist_deg[0]),
+            left_wrist=msgspec.structs.replace(config.motors.left_wrist, backlash_deg=wrist_deg[1]),
+        ),
         planner=msgspec.structs.replace(config.planner, **planner),
     )
 

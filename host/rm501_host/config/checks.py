@@ -46,6 +46,15 @@ def complaints_about(config: Config) -> list[Complaint]:
                     "give every joint its own switch",
                 )
             )
+    for name, motor in zip(MOTOR_NAMES, config.motors.ordered, strict=True):
+        if motor.backlash_deg > (MOST_BACKLASH_DEG if name.endswith("_wrist") else 0.0):
+            found.append(
+                Complaint(
+                    f"motors.{name}.backlash_deg",
+                    f"{motor.backlash_deg} deg: at most {MOST_BACKLASH_DEG} for the wrist's motors, 0 for the others",
+                    "give the play of waist, shoulder and elbow as that of their joints",
+                )
+            )
     found += _about_drive(config)
     found += _about_board(config)
     if config.planner.stop_acceleration_ratio < config.planner.hold_acceleration_ratio:

@@ -103,11 +103,15 @@ class JointsSection(_Section, frozen=True):
 
 class MotorSection(_Section, frozen=True):
     """`[motors.NAME]`: a step generator; the limits hold in planning, `board` derives those that the board
-    enforces."""
+    enforces.
+
+    `backlash_deg`: play of a wrist motor's gear train, in deg of the motor as its steps count; that of the other motors
+    is the joint's."""
 
     steps_per_deg: Positive
     max_rate_steps_s: Positive
     max_acceleration_deg_s2: Positive
+    backlash_deg: NonNegative = 0.0
 
 
 class MotorsSection(_Section, frozen=True):
@@ -239,7 +243,7 @@ class GcodeSection(_Section, frozen=True):
 
 
 class PreflightSection(_Section, frozen=True):
-    """`[preflight]`: how far a program that never ends is checked before it starts."""
+    """`[preflight]`: how far a program is checked before it starts; from there the check goes on ahead of the motion."""
 
     max_blocks: PositiveInt
 

@@ -13,14 +13,16 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from rm501_host.config import JOINT_NAMES, Config
+from rm501_host.config import JOINT_NAMES, MOTOR_NAMES, Config
 from rm501_host.kinematics import Arm
+from rm501_host.planner import Limits
 from rm501_host.storage import PositionFile, PositionRecord
 from rm501_protocol.enums import HandState
 from rm501_protocol.messages import Identify, Status
 
 _ARM_MOTORS = 0b11111
 _WRIST_MOTORS = 0b11000
+_PLACES = (*JOINT_NAMES, *(f"{name} motor" for name in MOTOR_NAMES[3:]))
 _UNKNOWN_STEPS = (0, 0, 0, 0, 0, 0)
 
 
@@ -36,8 +38,11 @@ class ArmState:
         self._boot_id = 0
         self._vetoed: set[int] = set()
         self._status: Status | None = None
-        self.offsets_deg: tuple[float, ...] = (0.0,) * len(JOINT_NAMES)
-        """How much of each joint's motor side is play taken up; 0, the middle, where that is not known."""
+        limits = Limits.from_config(config)
+        self._columns = limits.play_columns
+        self._places = [name for name, play in zip(_PLACES, limits.backlash_deg, strict=True) if play > 0.0]
+        self.leads_deg: tuple[float, ...] = (0.0,) * len(_PLACES)
+        """How far the motors are ahead at each place of play; 0, the middle, where that is not known."""
 
     @property
     def warning(self) -> str | None:
@@ -67,9 +72,8 @@ class ArmState:
 
     def _take_over_offsets(self, record: PositionRecord | None, identify: Identify, status: Status) -> str:
         """Set the offsets from the file if it says where the arm still stands; what to say when they are not known."""
-        loose = [name for name, j in zip(JOINT_NAMES, self._config.joints.ordered, strict=True) if j.backlash_deg > 0.0]
-        self.offsets_deg = (0.0,) * len(JOINT_NAMES)
-        if not loose:
+        self.leads_deg = (0.0,) * len(_PLACES)
+        if not self._places:
             return ""
         if (
             record is not None
@@ -77,10 +81,10 @@ class ArmState:
             and (record.boot_id, record.config_hash) == (identify.boot_id, self._digest)
             and record.positions_steps[:5] == status.positions_steps[:5]
         ):
-            self.offsets_deg = record.offsets_deg
+            self.leads_deg = record.leads_deg
             return ""
         return (
-            f"; on which side of its play each joint stands is not known ({', '.join(loose)}): "
+            f"; on which side of its play each joint stands is not known ({', '.join(self._places)}): "
             "angles may be off by half the play until each has moved by as much"
         )
 
@@ -112,6 +116,11 @@ class ArmState:
         return _UNKNOWN_STEPS if self._status is None else self._status.positions_steps
 
     @property
+    def offsets_deg(self) -> tuple[float, ...]:
+        """How much of each joint's motor side is play taken up."""
+        return tuple(float(offset) for offset in self._columns @ np.array(self.leads_deg))
+
+    @property
     def joints_deg(self) -> tuple[float, ...]:
         """Joint angles that belong to the step counts (counter coordinates while unhomed)."""
         angles = self.arm.joints_from_motors(np.array(self.steps[:5], dtype=float)) - np.array(self.offsets_deg)
@@ -137,6 +146,6 @@ class ArmState:
                 homed=self.homed,
                 hand=self.hand,
                 utc=self._utc(),
-                offsets_deg=self.offsets_deg,
+                leads_deg=self.leads_deg,
             )
         )

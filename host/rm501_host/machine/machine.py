@@ -487,7 +487,7 @@ class Machine:
             with contextlib.suppress(ValueError):
                 old.detach()
         await stream.prepare()
-        stream.offsets.set(self.arm_state.offsets_deg)
+        stream.offsets.set(self.arm_state.leads_deg)
         if self.override != 1.0:
             session.post(self._rate())
         self.stream = stream
@@ -535,7 +535,7 @@ class Machine:
         match notice:
             case Status():
                 if self.stream is not None:
-                    self.arm_state.offsets_deg = self.stream.offsets.at(self.session.motion_frames.value)
+                    self.arm_state.leads_deg = self.stream.offsets.leads_at(self.session.motion_frames.value)
                 self.arm_state.update(notice)
                 self._follow(notice)
             case FaultReport(fault=fault):

@@ -17,7 +17,8 @@ from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
 from rm501_host.machine.operations import joint_indices
 from rm501_host.motion import MotionStream
-from rm501_host.planner import plan_joint_move
+from rm501_host.motion.offsets import flank_deg
+from rm501_host.planner import Limits, plan_joint_move
 from rm501_protocol.board_config import InputId
 from rm501_protocol.enums import Edge
 from rm501_protocol.messages import TriggerReport
@@ -71,7 +72,7 @@ async def _measure(machine: Machine, stream: MotionStream, index: int) -> float:
     if report is None:
         raise _missing(index, "did not release")
     # leaving the switch, the link hangs on the flank of that direction
-    flank = away * 0.5 * machine.config.joints.ordered[index].backlash_deg
+    flank = flank_deg(Limits.from_config(machine.config), stream.offsets, index, away)
     latched = float(machine.arm.joints_from_motors(report.positions_steps[:5])[index])
     return latched - flank - home.switch_deg
 

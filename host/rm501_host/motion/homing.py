@@ -33,8 +33,9 @@ from dataclasses import dataclass
 from rm501_host.config import JOINT_NAMES, Config
 from rm501_host.errors import StoppedError
 from rm501_host.kinematics import Arm
+from rm501_host.motion.offsets import flank_deg
 from rm501_host.motion.stream import MotionStream
-from rm501_host.planner import plan_joint_move
+from rm501_host.planner import Limits, plan_joint_move
 from rm501_protocol.board_config import InputId
 from rm501_protocol.enums import Edge
 from rm501_protocol.messages import TriggerReport
@@ -133,9 +134,7 @@ class Homing:
         before_deg = self._offset_deg[index]
         self._offset_deg[index] = self._released_deg(index, away) - second_deg
         # it stopped still moving away: whatever was commanded before, the link hangs on the flank of that direction
-        offsets = list(self._stream.offsets.deg)
-        offsets[index] = self._flank_deg(index, away)
-        self._stream.offsets.set(offsets)
+        self._stream.offsets.set(self._flank(index, away))
         self.homed[index] = True
         correction_deg = self._offset_deg[index] - before_deg
         await self._set_positions(index)
@@ -149,9 +148,13 @@ class Homing:
             raise self._error(index, "the switch did not release", "stuck")
         return float(self._arm.joints_from_motors(report.positions_steps[:5])[index]) - self._flank_deg(index, away)
 
+    def _flank(self, index: int, way: float) -> tuple[float, ...]:
+        """How far the motors are ahead at every place of play once a joint has taken it up in this direction."""
+        return Limits.from_config(self._config).on_the_flank(self._stream.offsets.leads_deg, index, way)
+
     def _flank_deg(self, index: int, way: float) -> float:
-        """How far the motor is ahead of the link once the play is taken up in this direction."""
-        return way * 0.5 * self._config.joints.ordered[index].backlash_deg
+        """The same for the joint's angle."""
+        return flank_deg(Limits.from_config(self._config), self._stream.offsets, index, way)
 
     async def _seek(self, index: int, travel_deg: float, speed_deg_s: float, edge: Edge) -> TriggerReport | None:
         """Move one joint by `travel_deg` at `speed_deg_s` until its switch shows `edge`; None when it never did."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
+from rm501_host.config import Config
 from rm501_host.motion.offsets import PlayOffsets
 from rm501_host.segmenter import PlannedSegment
 from rm501_protocol.segment import end_positions_q48
@@ -21,10 +22,10 @@ class Mirror:
     played yet, as far as is known.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, config: Config) -> None:
         self.positions_q48: tuple[int, ...] = ()
         self.end_frame = 0
-        self.offsets = PlayOffsets()
+        self.offsets = PlayOffsets(config)
         self.sent: deque[PlannedSegment] = deque()
 
     def stand(self, positions_q48: Sequence[int], end_frame: int) -> None:

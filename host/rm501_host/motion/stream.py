@@ -48,7 +48,7 @@ class MotionStream:
         self._config = config
         self._play: Play | None = None
         self._reports = Reports()
-        self.mirror = Mirror()
+        self.mirror = Mirror(config)
         self._remove_listener = session.add_listener(self._reports.listen)
 
     @property

@@ -11,6 +11,7 @@ reaches over the play, sqrt(a b). Without play nothing is held back.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +31,11 @@ class Limits:
     `motor_rate_steps_s`, `motor_acceleration_steps_s2` (5,). TCP limits are inf where not configured.
 
     `velocity`, `acceleration` and `jerk_deg_s3` are what the law may use; the limits by name are the whole ones.
-    `backlash_deg` (5,): play per joint; `take_up_acceleration_deg_s2` (5,): with how much it is taken up;
-    `take_up_window_s` (5,): over how long that is smoothed, 0 unless jerk is limited.
+
+    Play is in seven places: behind the five joints, and in the gear trains of the two wrist motors. `play_rows` (7, 5):
+    each place's angle from the joints'; `play_columns` (5, 7): what a deg there moves of each joint; `backlash_deg`
+    (7,): the play; `take_up_acceleration_deg_s2` (7,): with how much it is taken up; `take_up_window_s` (7,): over how
+    long that is smoothed, 0 unless jerk is limited.
     """
 
     rows: Array
@@ -48,6 +52,8 @@ class Limits:
     motor_acceleration_steps_s2: Array
     tcp_speed_mm_s: float
     tcp_acceleration_mm_s2: float
+    play_rows: Array
+    play_columns: Array
     backlash_deg: Array
     take_up_acceleration_deg_s2: Array
     take_up_window_s: Array
@@ -79,20 +85,27 @@ class Limits:
                 velocity.append(v)
                 acceleration.append(a)
         planner = config.planner
-        backlash_deg = np.array([j.backlash_deg for j in joints])
         jerk = np.array([j.max_jerk_deg_s3 for j in joints])
         share = planner.backlash_acceleration_share
-        taken = _take_up_accelerations(np.array(rows), np.array(velocity), np.array(acceleration), backlash_deg, share)
-        has_play = backlash_deg > 0.0
-        smoothed = has_play & planner.jerk_limited
-        weights = np.abs(np.array(rows))
+        play_rows = np.concatenate((np.eye(5), matrix[3:]))
+        play_columns = np.concatenate((np.eye(5), np.linalg.inv(matrix)[:, 3:]), axis=1)
+        backlash_deg = np.array([*(j.backlash_deg for j in joints), *(m.backlash_deg for m in motors[3:])])
+        weights = np.abs(np.array(rows) @ play_columns)
+        taken = _take_up_accelerations(weights, np.array(velocity), np.array(acceleration), backlash_deg, share)
+        windows = np.zeros(len(backlash_deg))
+        reserved = np.zeros(5)
+        if planner.jerk_limited and (backlash_deg > 0.0).any():
+            own = np.abs(play_columns)
+            jerks = _shares(own, jerk, backlash_deg > 0.0, share)
+            windows = np.where(backlash_deg > 0.0, 2.0 * taken / np.where(jerks > 0.0, jerks, 1.0), 0.0)
+            reserved = own @ jerks
         return cls(
             rows=np.array(rows),
             velocity=np.array(velocity) - weights @ np.sqrt(taken * backlash_deg),
             acceleration=np.array(acceleration) - weights @ taken,
             joint_velocity_deg_s=joint_velocity,
             joint_acceleration_deg_s2=joint_acceleration,
-            jerk_deg_s3=np.where(smoothed, (1.0 - share) * jerk, jerk),
+            jerk_deg_s3=jerk - reserved,
             min_deg=np.array([j.min_deg for j in joints]),
             max_deg=np.array([j.max_deg for j in joints]),
             motor_matrix=matrix,
@@ -101,27 +114,39 @@ class Limits:
             motor_acceleration_steps_s2=motor_acceleration * steps_per_deg,
             tcp_speed_mm_s=planner.tcp_max_speed_mm_s or np.inf,
             tcp_acceleration_mm_s2=planner.tcp_max_acceleration_mm_s2 or np.inf,
+            play_rows=play_rows,
+            play_columns=play_columns,
             backlash_deg=backlash_deg,
             take_up_acceleration_deg_s2=taken,
-            take_up_window_s=np.where(smoothed, 2.0 * taken / (share * jerk), 0.0),
+            take_up_window_s=windows,
         )
+
+    def on_the_flank(self, leads_deg: Sequence[float], joint: int, way: float) -> tuple[float, ...]:
+        """How far the motors are ahead at each place of play (7,) once a joint alone has moved far enough in the
+        direction `way` (1 or -1), if that was `leads_deg` before.
+        """
+        turns = np.sign(self.play_rows[:, joint] * way)
+        leads = np.where((turns != 0.0) & (self.backlash_deg > 0.0), 0.5 * turns * self.backlash_deg, leads_deg)
+        return tuple(float(lead) for lead in leads)
 
 
 def _take_up_accelerations(
-    rows: Array, velocity: Array, acceleration: Array, backlash_deg: Array, share: float
+    weights: Array, velocity: Array, acceleration: Array, backlash_deg: Array, share: float
 ) -> Array:
-    """Acceleration (5,) of each joint's take-up: at most `share` of every row, and so gentle that sqrt(a b), the speed
-    that it reaches over the play b, is at most `share` of every row too. 0 for joints without play.
+    """Acceleration (7,) of the take-up at each place: at most `share` of every row, and so gentle that sqrt(a b), the
+    speed that it reaches over the play b, is at most `share` of every row too. 0 without play. `weights` (m, 7).
     """
-    result = np.zeros(len(backlash_deg))
     has_play = backlash_deg > 0.0
-    weights = np.abs(rows)
-    sharers = (weights[:, has_play] > 0.0).sum(axis=1)
-    for joint in np.flatnonzero(has_play):
-        used = weights[:, joint] > 0.0
-        per_joint = share / (weights[used, joint] * sharers[used])
-        result[joint] = min(
-            float((per_joint * acceleration[used]).min()),
-            float((per_joint * velocity[used]).min()) ** 2 / float(backlash_deg[joint]),
-        )
+    by_acceleration = _shares(weights, acceleration, has_play, share)
+    by_velocity = _shares(weights, velocity, has_play, share) ** 2 / np.where(has_play, backlash_deg, 1.0)
+    return np.minimum(by_acceleration, by_velocity)
+
+
+def _shares(weights: Array, limits: Array, has_play: NDArray[np.bool_], share: float) -> Array:
+    """What each place of play may use (7,), so that all together use at most `share` of every limit (m,)."""
+    result = np.zeros(len(has_play))
+    sharers = (weights[:, has_play] > 1e-12).sum(axis=1)
+    for place in np.flatnonzero(has_play):
+        used = weights[:, place] > 1e-12
+        result[place] = float((share * limits[used] / (weights[used, place] * sharers[used])).min())
     return result

@@ -1,5 +1,8 @@
 """The law by which play is taken up: how far each joint's motor side is ahead of its link.
 
+Play sits behind a joint, or in the gear train of a wrist motor, which turns with pitch and roll together: seven places,
+each followed by itself in its own angle; a wrist motor's offset becomes one of pitch and roll through the differential.
+
 Theory of operation
 -------------------
 A joint with play b turns its link only after its motor has crossed the gap. So the motor side is driven to q + o, with
@@ -40,7 +43,8 @@ SHORTEST_FRAMES = 8
 _SAME_DEG = 1e-12
 _ALWAYS = -1
 """Before the first motion frame."""
-_JOINTS = 5
+_PLACES = 7
+_ONLY_JOINTS = tuple(tuple(float(row == column) for column in range(_PLACES)) for row in range(5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +62,8 @@ class TakeUpArc:
 
 
 @dataclass(frozen=True, slots=True)
-class JointOffset:
-    """One joint's offset as a function of the motion frame: before its arcs, along them, after them.
+class PlaceOffset:
+    """The offset at one place of play as a function of the motion frame: before its arcs, along them, after them.
 
     `window_frames`: length of the mean that smooths it (0: none).
     """
@@ -98,7 +102,7 @@ class JointOffset:
         """Offset in deg without the smoothing."""
         return float(self._plain(np.array([float(frame)]))[1][0]) if self.arcs else self.after_deg
 
-    def since(self, frame: int) -> JointOffset:
+    def since(self, frame: int) -> PlaceOffset:
         """The same from `frame` on, without the arcs that no longer matter."""
         kept = tuple(arc for arc in self.arcs if arc.last_frame + self.window_frames > frame)
         if len(kept) == len(self.arcs):
@@ -106,7 +110,7 @@ class JointOffset:
         before = kept[0].offset_deg if kept else self.after_deg
         return replace(self, before_deg=before, arcs=kept)
 
-    def sent_to(self, target_deg: float, frame: int, acceleration_deg_frame2: float) -> JointOffset:
+    def sent_to(self, target_deg: float, frame: int, acceleration_deg_frame2: float) -> PlaceOffset:
         """The same up to `frame`, from there on by the law to `target_deg`."""
         at, rate = self.offset_at(frame), self.rate_at(frame)
         arcs = [replace(arc, last_frame=min(arc.last_frame, frame)) for arc in self.arcs if arc.first_frame < frame]
@@ -154,70 +158,86 @@ class JointOffset:
 
 @dataclass(frozen=True, slots=True)
 class OffsetLaw:
-    """The offsets of the five joints as functions of the motion frame (64 bits)."""
+    """The offsets as functions of the motion frame (64 bits), at the seven places of play (`planner.limits`).
 
-    joints: tuple[JointOffset, ...]
+    `columns`: what a deg at each place moves of each joint, five rows of seven.
+    """
+
+    places: tuple[PlaceOffset, ...]
+    columns: tuple[tuple[float, ...], ...] = _ONLY_JOINTS
 
     @classmethod
-    def still(cls, offset_deg: Sequence[float]) -> OffsetLaw:
-        """Offsets (5,) that stay as they are."""
-        return cls(tuple(JointOffset(float(value), (), float(value)) for value in offset_deg))
+    def still(cls, leads_deg: Sequence[float], columns: tuple[tuple[float, ...], ...] = _ONLY_JOINTS) -> OffsetLaw:
+        """Offsets that stay as they are: of the joints (5,), or at all places (7,)."""
+        leads = (*leads_deg, *(0.0,) * (_PLACES - len(leads_deg)))
+        return cls(tuple(PlaceOffset(float(lead), (), float(lead)) for lead in leads), columns)
 
     @property
     def settled_frame(self) -> int | None:
-        """The motion frame from which every joint's offset stands still; None when none ever moves."""
-        frames = [joint.settled_frame for joint in self.joints if joint.arcs]
+        """The motion frame from which every offset stands still; None when none ever moves."""
+        frames = [place.settled_frame for place in self.places if place.arcs]
         return max(frame for frame in frames if frame is not None) if frames else None
 
     def kinks(self) -> list[int]:
         """Motion frames at which an acceleration jumps."""
-        return sorted({frame for joint in self.joints for frame in joint.kinks()})
+        return sorted({frame for place in self.places for frame in place.kinks()})
 
     def at(self, frames: Array) -> tuple[Array, Array]:
-        """Offsets (n, 5) in deg and rates (n, 5) in deg/frame at motion frames (n,)."""
-        columns = [joint.at(frames) for joint in self.joints]
-        return np.stack([c[0] for c in columns], axis=1), np.stack([c[1] for c in columns], axis=1)
+        """Offsets (n, 5) of the joints in deg and rates (n, 5) in deg/frame at motion frames (n,)."""
+        found = [place.at(frames) for place in self.places]
+        to_joints = np.array(self.columns).T
+        offsets: Array = np.stack([offset for offset, _ in found], axis=1) @ to_joints
+        rates: Array = np.stack([rate for _, rate in found], axis=1) @ to_joints
+        return offsets, rates
+
+    def leads_deg(self, frame: int) -> tuple[float, ...]:
+        """Offsets (7,) at the places of play at one motion frame."""
+        at = np.array([float(frame)])
+        return tuple(float(place.at(at)[0][0]) for place in self.places)
 
     def offsets_deg(self, frame: int) -> tuple[float, ...]:
-        """Offsets (5,) at one motion frame."""
+        """Offsets (5,) of the joints at one motion frame."""
         return tuple(float(value) for value in self.at(np.array([float(frame)]))[0][0])
 
     def since(self, frame: int) -> OffsetLaw:
         """The same from `frame` on, without what no longer matters."""
-        return OffsetLaw(tuple(joint.since(frame) for joint in self.joints))
+        return OffsetLaw(tuple(place.since(frame) for place in self.places), self.columns)
 
-    def replaced(self, index: int, joint: JointOffset) -> OffsetLaw:
-        """The same with another law for one joint."""
-        return OffsetLaw((*self.joints[:index], joint, *self.joints[index + 1 :]))
+    def replaced(self, index: int, place: PlaceOffset) -> OffsetLaw:
+        """The same with another law at one place."""
+        return OffsetLaw((*self.places[:index], place, *self.places[index + 1 :]), self.columns)
 
 
-NO_OFFSETS = OffsetLaw.still((0.0,) * _JOINTS)
-"""Every joint in the middle of its play, or without any."""
+NO_OFFSETS = OffsetLaw.still((0.0,) * _PLACES)
+"""In the middle of every play, or without any."""
 
 
 class Backlash:
-    """Follows a law in joint space and decides where the play of each joint has to be taken up."""
+    """Follows a law in joint space and decides where play has to be taken up."""
 
     def __init__(self, limits: Limits, frame_s: float, law: OffsetLaw = NO_OFFSETS) -> None:
         self._half_deg = 0.5 * limits.backlash_deg
         self._acceleration = limits.take_up_acceleration_deg_s2 * frame_s**2
-        self._tremble_deg = REVERSAL_STEPS / np.abs(limits.steps_per_deg[:, None] * limits.motor_matrix).max(axis=0)
-        self._joints = [int(joint) for joint in np.flatnonzero(self._half_deg > 0.0)]
+        self._rows = limits.play_rows
+        steps = np.abs(limits.steps_per_deg[:, None] * (limits.motor_matrix @ limits.play_columns))
+        self._tremble_deg = REVERSAL_STEPS / steps.max(axis=0)
+        self._places = [int(place) for place in np.flatnonzero(self._half_deg > 0.0)]
         windows = [ceil(float(window) / frame_s) for window in limits.take_up_window_s]
         self._law = OffsetLaw(
-            tuple(replace(joint, window_frames=window) for joint, window in zip(law.joints, windows, strict=True))
+            tuple(replace(place, window_frames=window) for place, window in zip(law.places, windows, strict=True)),
+            play_columns(limits),
         )
-        # per joint: its laws in the order in which they were decided, each with the frame of the decision
-        self._decided: list[list[tuple[int, JointOffset]]] = [[(_ALWAYS, joint)] for joint in self._law.joints]
-        # which way each joint goes as far as that is known, and how far it has come that way
-        self._way = [_side(joint.after_deg, half) for joint, half in zip(law.joints, self._half_deg, strict=True)]
+        # per place: its laws in the order in which they were decided, each with the frame of the decision
+        self._decided: list[list[tuple[int, PlaceOffset]]] = [[(_ALWAYS, place)] for place in self._law.places]
+        # which way each place turns as far as that is known, and how far it has come that way
+        self._way = [_side(place.after_deg, half) for place, half in zip(law.places, self._half_deg, strict=True)]
         self._low: list[float] | None = None
         self._high: list[float] = []
 
     @property
     def is_needed(self) -> bool:
-        """Whether any joint has play."""
-        return bool(self._joints)
+        """Whether there is any play."""
+        return bool(self._places)
 
     @property
     def law(self) -> OffsetLaw:
@@ -226,57 +246,63 @@ class Backlash:
 
     def law_until(self, frame: int) -> OffsetLaw:
         """The offsets as they were known at motion frame `frame`: without what was decided later."""
-        return OffsetLaw(tuple(_known_at(frame, decided) for decided in self._decided))
+        return OffsetLaw(tuple(_known_at(frame, decided) for decided in self._decided), self._law.columns)
 
     def forget_before(self, frame: int) -> None:
         """Drop what only matters before a motion frame."""
         self._decided = [
             [
                 (_ALWAYS, _known_at(frame, decided).since(frame)),
-                *((when, joint.since(frame)) for when, joint in decided if when > frame),
+                *((when, place.since(frame)) for when, place in decided if when > frame),
             ]
             for decided in self._decided
         ]
         self._law = self._law.since(frame)
 
     def begin(self) -> None:
-        """The law starts from rest: a joint is only sent over once it has moved again."""
-        self._way = [0] * _JOINTS
+        """The law starts from rest: an offset is only sent over once its place has turned again."""
+        self._way = [0] * _PLACES
         self._low = None
 
     def follow(self, frames: NDArray[np.int64], q_deg: Array) -> None:
         """Take joints (n, 5) in deg at rising motion frames (n,), from where the last call ended."""
         if not len(frames):
             return
+        angles_deg = q_deg @ self._rows.T
         if self._low is None:
-            self._low, self._high = q_deg[0].tolist(), q_deg[0].tolist()
+            self._low, self._high = angles_deg[0].tolist(), angles_deg[0].tolist()
         low, high, way = self._low, self._high, self._way
-        for joint in self._joints:
-            tremble = float(self._tremble_deg[joint])
-            for frame, angle in zip(frames.tolist(), q_deg[:, joint].tolist(), strict=True):
-                low[joint] = min(low[joint], angle)
-                high[joint] = max(high[joint], angle)
-                if way[joint] <= 0 and angle - low[joint] >= tremble:
+        for place in self._places:
+            tremble = float(self._tremble_deg[place])
+            for frame, angle in zip(frames.tolist(), angles_deg[:, place].tolist(), strict=True):
+                low[place] = min(low[place], angle)
+                high[place] = max(high[place], angle)
+                if way[place] <= 0 and angle - low[place] >= tremble:
                     turned = 1
-                elif way[joint] >= 0 and high[joint] - angle >= tremble:
+                elif way[place] >= 0 and high[place] - angle >= tremble:
                     turned = -1
                 else:
                     continue
-                way[joint] = turned
-                low[joint] = high[joint] = angle
-                self._send(joint, turned * float(self._half_deg[joint]), frame)
+                way[place] = turned
+                low[place] = high[place] = angle
+                self._send(place, turned * float(self._half_deg[place]), frame)
 
     def _send(self, index: int, target_deg: float, frame: int) -> None:
-        joint = self._law.joints[index]
-        if joint.after_deg == target_deg:
+        place = self._law.places[index]
+        if place.after_deg == target_deg:
             return
-        sent = joint.sent_to(target_deg, frame, float(self._acceleration[index]))
+        sent = place.sent_to(target_deg, frame, float(self._acceleration[index]))
         self._law = self._law.replaced(index, sent)
         self._decided[index].append((frame, sent))
 
 
-def _known_at(frame: int, decided: Sequence[tuple[int, JointOffset]]) -> JointOffset:
-    return next(joint for when, joint in reversed(decided) if when <= frame)
+def play_columns(limits: Limits) -> tuple[tuple[float, ...], ...]:
+    """What a deg at each place of play moves of each joint, as an `OffsetLaw` has it."""
+    return tuple(tuple(float(value) for value in row) for row in limits.play_columns)
+
+
+def _known_at(frame: int, decided: Sequence[tuple[int, PlaceOffset]]) -> PlaceOffset:
+    return next(place for when, place in reversed(decided) if when <= frame)
 
 
 def _side(offset_deg: float, half_deg: float) -> int:

@@ -17,7 +17,7 @@ from rm501_host.storage.atomic import StorageError, write_atomic
 class PositionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The file's content. `dirty`: motion was under way when it was written; positions are then where it began.
 
-    `offsets_deg`: how much of the positions is play taken up, per joint.
+    `leads_deg`: how much of the positions is play taken up, at the seven places of play (`planner.limits`).
     """
 
     version: int = 1
@@ -28,7 +28,7 @@ class PositionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     homed: tuple[bool, ...]
     hand: str
     utc: str
-    offsets_deg: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    leads_deg: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PositionFile:

@@ -57,6 +57,7 @@ WRONG = [
     ('[[keep_out.boxes]]\nname = "b"\nmin_mm = [0.0, 0.0, 0.0]\nmax_mm = [1.0, 0.0, 1.0]\n', 4, "keep_out", "max_mm"),
     ("[joints.pitch.home]\nignore_limits = false\n", 3, "joints.pitch.home.ignore_limits", "open side"),
     ("[joints.elbow]\nbacklash_deg = 3.2\n", 3, "joints.elbow.backlash_deg", "no play any more"),
+    ("[motors.waist]\nbacklash_deg = 0.2\n", 3, "motors.waist.backlash_deg", "0 for the others"),
     ('[board]\ndigital_outputs = ["0.2"]\n', 3, "board.digital_outputs", "free"),
     ("[gcode.outputs]\nM3 = [0, true]\n", 3, "gcode.outputs.M3", "no output"),
     ("[geometry\n", 2, "", "TOML"),

@@ -27,7 +27,7 @@ def there_and_back(way_deg: float) -> list[PlannedSegment]:
 
 
 def sent(planned: list[PlannedSegment]) -> PlayOffsets:
-    offsets = PlayOffsets()
+    offsets = PlayOffsets(CONFIG)
     for item in planned:
         offsets.add(item)
     return offsets
@@ -77,7 +77,7 @@ def test_what_is_cut_is_replaced() -> None:
 
 
 def test_without_play_nothing_is_kept() -> None:
-    offsets = PlayOffsets()
+    offsets = PlayOffsets(CONFIG)
     plain = load_config()
     positions = [*map(to_q48, (motor_matrix(plain) @ START).tolist()), 0]
     for item in Segmenter(plain, positions, 0).segments(plan_joint_move(ARM, plain, START, (5.0, *START[1:]))):
