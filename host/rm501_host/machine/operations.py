@@ -18,6 +18,7 @@ from rm501_host.kinematics.results import Target6
 from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
+from rm501_host.machine.zones import refuse_zones
 from rm501_host.motion import Homing
 from rm501_host.moves import Feed, HandMove, LinearMove, Move, Source
 from rm501_host.planner import Piece, Planner, plan_joint_move
@@ -99,6 +100,7 @@ async def _play(machine: Machine, plan: object) -> None:
     assert machine.stream is not None and callable(plan)
     pieces: tuple[Piece, ...] = await asyncio.get_running_loop().run_in_executor(None, plan)
     if pieces:
+        await asyncio.get_running_loop().run_in_executor(None, lambda: refuse_zones(machine, pieces))
         await machine.stream.play(pieces)
 
 

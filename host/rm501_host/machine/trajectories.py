@@ -18,15 +18,12 @@ from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
 from rm501_host.machine.states import MachineState
+from rm501_host.machine.zones import refuse_zones, sample_times
 from rm501_host.planner import Limits, Piece, plan_timed
-from rm501_host.preflight.keep_out import KeepOut
 
 Array = NDArray[np.float64]
 
 MAX_POINTS = 100_000
-_SAMPLE_S = 0.01
-"""Spacing at which keep-out zones and the tool's speed are looked at: 1 mm at 100 mm/s."""
-_MOST_SAMPLES = 20_000
 _SAME_DEG = 1e-3
 _ROUNDING = 1.000001
 
@@ -126,7 +123,7 @@ def plan_trajectory(
             )
         slowed = pieces[0].duration_s / float(times[-1])
         pieces = plan(slowed * ratio * _ROUNDING)
-    _check_zones(machine, pieces)
+    refuse_zones(machine, pieces)
     return pieces
 
 
@@ -137,24 +134,7 @@ def _tool_ratio(machine: Machine, pieces: tuple[Piece, ...]) -> float:
         return 0.0
     fastest = 0.0
     for piece in pieces:
-        q_deg, rates, _ = piece.states(_times(piece))
+        q_deg, rates, _ = piece.states(sample_times(piece))
         tool = np.einsum("nij,nj->ni", machine.arm.jacobian_batch(q_deg)[:, :3], np.radians(rates))
         fastest = max(fastest, float(np.linalg.norm(tool, axis=1).max()))
     return fastest / allowed_mm_s
-
-
-def _check_zones(machine: Machine, pieces: tuple[Piece, ...]) -> None:
-    zones = KeepOut(machine.config)
-    if zones.is_empty:
-        return
-    for piece in pieces:
-        time_s = _times(piece)
-        found = zones.first_entry(machine.arm, piece.q_deg(time_s), 0.0)
-        if found is not None:
-            row, what, depth_mm = found
-            raise RefusedError(f"{what} at {time_s[row]:.2f} s, by {depth_mm:.1f} mm; nothing moved")
-
-
-def _times(piece: Piece) -> Array:
-    count = int(np.clip(np.ceil(piece.duration_s / _SAMPLE_S), 64, _MOST_SAMPLES))
-    return np.linspace(0.0, piece.duration_s, count + 1)

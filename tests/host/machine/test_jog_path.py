@@ -84,7 +84,7 @@ def random_pose(rng: np.random.Generator, config: Config) -> np.ndarray:
 def test_jogs_from_random_poses_keep_every_limit(config: Config) -> None:
     rng = np.random.default_rng(11)
     done = damped = 0
-    while done < 35:
+    while done < 25:
         q_deg = random_pose(rng, config)
         frame = str(rng.choice(["world", "tool"]))
         axis = str(rng.choice(list("xyzab"))) if frame == "world" else str(rng.choice(list("xyz")))
@@ -104,7 +104,7 @@ def test_jogs_from_random_poses_keep_every_limit(config: Config) -> None:
 def test_jogs_around_the_waist_axis_keep_every_limit() -> None:
     rng = np.random.default_rng(12)
     done = damped = 0
-    while done < 20:
+    while done < 15:
         q_deg = np.array(AXIS_POSE) + np.array([rng.uniform(-100, 100), *rng.uniform(-8, 8, 3), rng.uniform(-90, 90)])
         q_deg = np.clip(q_deg, *(np.array(side) for side in Arm.from_config(PLAIN).limits_deg))
         axis, speed = str(rng.choice(list("xy"))), float(rng.choice([-1, 1]) * rng.uniform(10, 100))
@@ -115,7 +115,33 @@ def test_jogs_around_the_waist_axis_keep_every_limit() -> None:
         judge(PLAIN, jog, "world", axis, speed)
         done += 1
         damped += jog.path.is_damped
-    assert damped >= 8
+    assert damped >= 6
+
+
+@pytest.mark.parametrize("offset_mm", [(0.0, 0.0), (12.0, -7.0)])
+def test_jogs_with_a_vertical_tool_keep_the_hands_direction_through_singularities(
+    offset_mm: tuple[float, float],
+) -> None:
+    config = msgspec.structs.replace(THESIS, tool=msgspec.structs.replace(THESIS.tool, offset_mm=offset_mm))
+    limits = Limits.from_config(config)
+    rng = np.random.default_rng(13)
+    done = damped = 0
+    while done < 12:
+        q_deg = random_pose(rng, config)
+        if done % 2:  # over the shoulder, near the waist axis
+            q_deg[1:3] = rng.uniform(75, 100), rng.uniform(-60, -5)
+        q_deg[3] = float(rng.choice([0.0, 180.0])) - q_deg[1] - q_deg[2]
+        if not limits.min_deg[3] <= q_deg[3] <= limits.max_deg[3]:
+            continue
+        axis, speed = str(rng.choice(list("xyz"))), float(rng.choice([-1, 1]) * rng.uniform(10, 200))
+        try:
+            jog = plan(config, q_deg, "world", axis, speed)
+        except RefusedError:
+            continue
+        judge(config, jog, "world", axis, speed)
+        done += 1
+        damped += jog.path.is_damped
+    assert damped >= 3
 
 
 @pytest.mark.parametrize("beside_mm", [0.0, 0.1, 0.5, 1.0])

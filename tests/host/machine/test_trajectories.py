@@ -71,13 +71,15 @@ def test_trajectories_are_checked_followed_held_and_stopped(tmp_path: Path) -> N
                 await follow(machine, ME, timed(START, GOAL, times=(0.0, 4.0)))
             with pytest.raises(RefusedError, match="would enter 'vice' at"):
                 await follow(machine, ME, timed((85.0, *GOAL[1:]), times=(20.0,)))
+            with pytest.raises(RefusedError, match=r"would enter 'vice' at .* go round"):
+                await operations.move_joints(machine, ME, (85.0, *GOAL[1:])).wait()
             with pytest.raises(RefusedError, match="as many rows"):
                 TimedPoints((START,), (1.0, 2.0))
             machine.lease.take(OTHER)
             with pytest.raises(RefusedError, match="somebody else"):
                 await follow(machine, ME, timed(START, times=(6.0,)))
             machine.lease.give_back(OTHER)
-            assert machine.planning_start_deg == at and machine.state is MachineState.IDLE
+            assert machine.planning_start_deg == pytest.approx(at, abs=0.02) and machine.state is MachineState.IDLE
 
             # too fast: slowed down by the least, and held and resumed on the way
             job = await follow(machine, ME, timed(START, times=(0.4,)), stretch=True)
