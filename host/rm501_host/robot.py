@@ -4,10 +4,11 @@
     with Robot.connect() as robot:
         robot.home()
         robot.move_joints([0, 60, -60, 60, 0])
-        robot.move_linear([250, 0, 200, 0, 0, 0])
+        robot.move_linear([280, 60, 200, 0, 0, 0])
         robot.grip("close")
 
-Every call returns when the motion has ended, and raises what ended it early. The event loop runs in a thread of its
+Every call returns when the motion has ended, and raises what ended it early. Interrupting one (Ctrl-C, "interrupt the
+kernel") holds the arm on its path: `resume` goes on, `abort` ends the motion. The event loop runs in a thread of its
 own, so it works where a loop is already running (Jupyter).
 """
 
@@ -22,6 +23,7 @@ from typing import Any, Literal, Self, TypeVar
 
 from rm501_host.client.client import DaemonClient, connect
 from rm501_host.daemon.paths import socket_path
+from rm501_host.errors import RefusedError
 
 T = TypeVar("T")
 
@@ -101,7 +103,7 @@ class Robot:
             started = await self._client.follow(points_deg, times_s, velocities_deg_s, stretch=stretch)
             return await self._client.wait(started)
 
-        return self._run(work())
+        return self._moving(work())
 
     def grip(self, action: Literal["open", "close"]) -> None:
         """Open or close the hand and wait for its stroke."""
@@ -124,6 +126,18 @@ class Robot:
     def teach(self, point: str, note: str = "") -> dict[str, Any]:
         """Record where the arm stands."""
         return self._dict(self.call("teach.record", name=point, note=note))
+
+    def hold(self) -> None:
+        """To rest on the path, motors on. Works from another thread while a motion is waited for."""
+        self.call("hold")
+
+    def resume(self) -> None:
+        """Go on after a hold, M0 or M1."""
+        self.call("resume")
+
+    def abort(self) -> None:
+        """End the motion on its path, motors on; the rest is dropped."""
+        self.call("abort")
 
     def stop(self) -> None:
         """STOP: to rest on the path, motors off. Works from another thread while a motion is waited for."""
@@ -149,10 +163,26 @@ class Robot:
         return await client.__aenter__()
 
     def _motion(self, method: str, **params: Any) -> dict[str, Any]:
-        return self._run(self._client.motion(method, **params))
+        return self._moving(self._client.motion(method, **params))
+
+    def _moving(self, work: Coroutine[Any, Any, T]) -> T:
+        """Run what waits for a motion; whoever interrupts it wants the arm to rest."""
+        try:
+            return self._run(work)
+        except KeyboardInterrupt:
+            self._run(self._client.call("hold"))
+            raise
 
     def _run(self, work: Coroutine[Any, Any, T]) -> T:
-        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+        if self._loop.is_closed():
+            work.close()
+            raise RefusedError("this Robot is closed; connect again with Robot.connect()")
+        future = asyncio.run_coroutine_threadsafe(work, self._loop)
+        try:
+            return future.result()
+        except KeyboardInterrupt:
+            future.cancel()
+            raise
 
     def _end_loop(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
