@@ -236,7 +236,8 @@ def run_long(lines: int) -> bool:
     )
     print(
         f"  planned {part} lines in {cpu:.1f} s CPU (with memory tracing), {seconds / cpu:.1f} x real time; memory "
-        f"{early:.1f} MB at most in the first third of {len(traced)} pieces, {late:.1f} MB after it{'' if fine else '  MISSED'}"
+        f"{early:.1f} MB at most in the first third of {len(traced)} pieces, {late:.1f} MB after it"
+        f"{'' if fine else '  MISSED'}"
     )
     return fine
 
