@@ -13,6 +13,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ PLAIN = load_config()
 ARM = Arm.from_config(PLAIN)
 PLAY_DEG = (0.2, 0.1, 0.1, 0.15, 0.15)
 EMULATED_PLAY_DEG = 0.6
+WRIST_PLAY_DEG = (0.3, 0.2)
 WORST_REST_STEPS = REVERSAL_STEPS + 0.001
 """A joint that comes back by less is not sent over: it stands off by what it came back."""
 WORST_SPREAD_STEPS = 1.5
@@ -133,6 +135,38 @@ def compare() -> bool:
     return good
 
 
+def wrist() -> bool:
+    """Play in the wrist's gear trains: not compensated, as if it were the joints', and as what it is."""
+    points = [PICK_START_DEG]
+    for pitch, roll in ((5, 5), (9, 4), (7, 0), (7, -4), (5, -4), (8, -2), (8.3, -2), (8.0, -2.6)):
+        points.append((*PICK_START_DEG[:3], PICK_START_DEG[3] + pitch, PICK_START_DEG[4] + roll))
+    moves = [
+        JointMove(joint, last[joint] - first[joint], True, at(line + 1))
+        for line, (first, last) in enumerate(pairwise(points))
+        for joint in (3, 4)
+        if first[joint] != last[joint]
+    ]
+    mean = sum(WRIST_PLAY_DEG) / 2
+    print(f"\n{WRIST_PLAY_DEG} deg of play in the wrist's motors, pitch and roll in turn      rest error, deg")
+    worst = 0.0
+    for name, config in (
+        ("not compensated", PLAIN),
+        (f"as play of {mean} deg in pitch and roll", with_backlash(PLAIN, (0.0, 0.0, 0.0, mean, mean))),
+        ("as play of the motors", with_backlash(PLAIN, (0.0,) * 5, WRIST_PLAY_DEG)),
+    ):
+        pieces = list(Planner(ARM, config, PICK_START_DEG).plan(moves))
+        start = [*map(to_q48, (motor_matrix(config) @ PICK_START_DEG).tolist()), 0]
+        planned = list(Segmenter(config, start, 0).segments(pieces))
+        side, ideal = motor_side_deg(config, planned), ideal_deg(config, planned, pieces)
+        matrix = np.array(config.drive.wrist_matrix)
+        links = links_deg(side[:, 3:] @ matrix.T, WRIST_PLAY_DEG, (0.0, 0.0)) @ np.linalg.inv(matrix).T
+        ends = np.cumsum([item.segment.length_frames for item in planned])
+        rests = [e for e, item in zip(ends, planned, strict=True) if item.segment.flags & SegmentFlag.ENDS_AT_REST]
+        worst = float(np.abs(links - ideal[:, 3:])[rests[2:]].max())
+        print(f"  {name:68} {worst:.4f}")
+    return worst <= 2.0 * WORST_REST_STEPS / 26.6
+
+
 def shares() -> None:
     """What the reserve costs, and how soon the play is taken up."""
     print("\nshare of acceleration   take-up of waist, shoulder, pitch, s   pick and place F6000 P5, s")
@@ -141,7 +175,7 @@ def shares() -> None:
     for share in SHARES:
         config = with_backlash(PLAIN, PLAY_DEG, backlash_acceleration_share=share)
         limits = Limits.from_config(config)
-        takes = 2.0 * np.sqrt(limits.backlash_deg / limits.take_up_acceleration_deg_s2)
+        takes = 2.0 * np.sqrt(limits.backlash_deg[:5] / limits.take_up_acceleration_deg_s2[:5])
         motion = sum(piece.motion_s for piece in Planner(ARM, config, PICK_START_DEG).plan(pick_and_place(6000.0, 5.0)))
         print(f"{share:21}   {takes[0]:10.3f} {takes[1]:12.3f} {takes[3]:12.3f}   {motion:8.3f}")
 
@@ -171,6 +205,7 @@ def main() -> int:
     parser.add_argument("--no-emulator", action="store_true", help="leave the emulated board out")
     arguments = parser.parse_args()
     good = compare()
+    good &= wrist()
     shares()
     if not arguments.no_emulator:
         good &= emulated()
