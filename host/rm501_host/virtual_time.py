@@ -55,6 +55,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Virtual seconds since the loop was made."""
         return self._virtual_clock.now_s
 
+    def stand_still(self, seconds: float) -> None:
+        """Let time pass while nothing runs, as for a process that is stopped and goes on."""
+        self._virtual_clock.now_s += seconds
+
     def run_in_executor(self, executor: object, func: Callable[[*Ts], T], *args: *Ts) -> asyncio.Future[T]:
         """Run `func` at once; the clock stands still meanwhile."""
         future: asyncio.Future[T] = self.create_future()

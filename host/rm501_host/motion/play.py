@@ -33,13 +33,17 @@ from rm501_host.session import BoardRefusedError, BoardSession, LinkLostError
 from rm501_host.session.fault_words import describe_fault
 from rm501_protocol.declaration import Message
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause, SegmentFlag
-from rm501_protocol.messages import Resume, Start, Truncate
+from rm501_protocol.messages import Hold, Resume, Start, Truncate
 from rm501_protocol.segment_message import Segment
 
 _POLL_S = 0.02
 _AHEAD_S = 0.15
 """How far ahead a progress shows what will be played: further than the next one comes."""
 _FRAME_MASK = 0xFFFFFFFF
+_TOO_LATE = (
+    "this computer or the line stood still for more than a second before the motion began; nobody expects it any more, "
+    "so nothing moved: look at the arm, then start it again"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +103,7 @@ class Play:
         segmenter = Segmenter(config, mirror.positions_q48, mirror.end_frame, mirror.offsets.law)
         self._source: Iterator[PlannedSegment] = iter(segmenter.segments(pieces))
         self._waiting: deque[PlannedSegment] = deque()
-        self._is_exhausted = self._is_started = self._has_moved = False
+        self._is_exhausted = self._is_started = self._is_under_way = self._has_moved = False
         self._cut: Takeover | None = None
         self._attempts = 0
         self._break_off: asyncio.Future[bool] | None = None
@@ -142,8 +146,11 @@ class Play:
             is_filled = self._is_exhausted and not self._waiting
             is_full = is_filled or self._room() <= 0
             if not self._is_started and self._has_moved and is_full:
+                if self._session.has_stalled:
+                    raise StoppedError(_TOO_LATE)
                 self._session.post(Start())
                 self._is_started = True
+            self._hold_what_begins_late()
             self._give_up_on_a_lost_link()
             if self._cut is None:
                 self._resume_after_low_water(is_full)
@@ -153,6 +160,18 @@ class Play:
                 return None
             if is_full or self._cut is not None:
                 await asyncio.sleep(_POLL_S)
+
+    def _hold_what_begins_late(self) -> None:
+        """A start that is still on its way when the line falls silent would be obeyed whenever the line is back."""
+        if self._is_started and not self._is_under_way:
+            status = self._session.status
+            if status is not None and status.state is not BoardState.READY:
+                self._is_under_way = True
+            elif self._session.link_silent or self._session.has_stalled:
+                self._is_under_way = True
+                if self._session.link.take_back(lambda message: isinstance(message, Start)):
+                    raise StoppedError(_TOO_LATE)
+                self._session.post(Hold())
 
     # ------------------------------------------------------------------------------------------ segments
 

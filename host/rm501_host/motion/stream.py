@@ -83,6 +83,7 @@ class MotionStream:
 
         Raises StoppedError when a fault is latched or the arm is held, BoardRefusedError when power is refused.
         """
+        await self._session.withdraw_motion()
         status = await self._session.refresh_status()
         if status.state is BoardState.FAULT:
             raise StoppedError(f"a fault is latched: {fault_text(status.fault)}")

@@ -38,6 +38,8 @@ from rm501_protocol.messages import (
     ConfigCommit,
     Identify,
     Refused,
+    Segment,
+    Start,
     Status,
     StatusRequest,
 )
@@ -57,6 +59,10 @@ COMMAND_TIMEOUT_S = 3.0
 _STOP_TIMEOUT_S = 2.0
 _NOISE_REMEMBERED_S = 30.0
 """A bad line is judged every 500 frames, that is every few seconds at 25 statuses a second."""
+STALL_S = 1.0
+"""As long as the board waits for its host before it holds and wants a user: link_timeout_ms."""
+_JUST_NOW_S = 2.0
+"""A command given before a stall has become motion by then: files written, first segments planned."""
 _POLL_S = 0.01
 """Between two looks at whether a command took effect."""
 
@@ -84,6 +90,8 @@ class BoardSession:
         self._failure: Rm501Error | None = None
         self._closing = False
         self._confirming: list[tuple[Message, asyncio.Future[None]]] = []
+        self._data_s: float | None = None
+        self._stall_ended_s: float | None = None
         self._noise: LinkNoisy | None = None
         self._noise_s = 0.0
         self.motion_frames = FrameCounter()
@@ -202,6 +210,22 @@ class BoardSession:
         finally:
             refused.cancel()
 
+    async def withdraw_motion(self, timeout_s: float = COMMAND_TIMEOUT_S) -> None:
+        """Take back segments and starts that were not sent yet, and wait until the board has what was: from then on
+        its status tells all there is. Raises StoppedError when it does not take it.
+        """
+        self._raise_failure()
+        self.link.take_back(lambda waiting: isinstance(waiting, Segment | Start))
+        try:
+            async with asyncio.timeout(timeout_s):
+                while self.link.pending or self.link.unacknowledged:
+                    self._raise_failure()
+                    await asyncio.sleep(_POLL_S)
+        except TimeoutError:
+            raise StoppedError(
+                f"the board did not take what is on its way within {timeout_s:.0f} s; look at its status, then reset it"
+            ) from None
+
     async def refresh_status(self, timeout_s: float = COMMAND_TIMEOUT_S) -> Status:
         """Ask for a status and wait for one."""
         answer = self._expect(lambda notice: notice if isinstance(notice, Status) else None)
@@ -237,6 +261,14 @@ class BoardSession:
         await self._transport.aclose()
 
     @property
+    def has_stalled(self) -> bool:
+        """Whether nothing was heard for a second, now or until just now: this process stood still, or the line did."""
+        now_s = self._loop.time()
+        if self._data_s is not None and now_s - self._data_s >= STALL_S:
+            return True
+        return self._stall_ended_s is not None and now_s - self._stall_ended_s <= _JUST_NOW_S
+
+    @property
     def noise_warning(self) -> str | None:
         """What is wrong with the line, None while at most one frame in a hundred is broken."""
         if self._noise is None or self._loop.time() - self._noise_s > _NOISE_REMEMBERED_S:
@@ -255,6 +287,10 @@ class BoardSession:
         if self._closing:
             return
         now_us = self._now_us()
+        now_s = self._loop.time()
+        if self._data_s is not None and now_s - self._data_s >= STALL_S:
+            self._stall_ended_s = now_s
+        self._data_s = now_s
         if self._wire_tap is not None:
             self._wire_tap(now_us, "in", data)
         self.link.receive_data(data, now_us)

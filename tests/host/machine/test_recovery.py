@@ -12,7 +12,7 @@ import pytest
 from rm501_host.config import load_config
 from rm501_host.errors import Rm501Error, StoppedError
 from rm501_host.machine import Machine, MachineState, operations
-from rm501_host.virtual_time import run_virtual
+from rm501_host.virtual_time import VirtualLoop, run_virtual
 from rm501_protocol.enums import BoardState
 from rm501_sim_board.emu_transport import running_board, shut_down
 from tests.support.virtual_machine import ME, homed, running_service
@@ -208,5 +208,47 @@ def test_a_plug_pulled_while_a_motion_begins_leaves_nothing_behind(tmp_path: Pat
             assert machine.arm_state.joints_deg == pytest.approx(START, abs=0.03)
             shut_down("begins")
         assert queued_at_rest > 0
+
+    virtual(scenario())
+
+
+@pytest.mark.parametrize("what", ["process", "line"])
+def test_what_stood_still_before_a_motion_began_does_not_begin_it(tmp_path: Path, what: str) -> None:
+    """The operator's command is seconds old by then: it is not begun, or held at once, and a user decides."""
+
+    async def scenario() -> None:
+        ends = {"held": 0, "not begun": 0}
+        async with running_service(tmp_path, "emu://stalls?preset=ideal&seed=1") as service:
+            machine = service.machine
+            loop = asyncio.get_running_loop()
+            assert isinstance(loop, VirtualLoop)
+            await homed(service)
+            for delay_ms in (0, 4, 8, 12, 16, 24, 40, 60):
+                await operations.move_joints(machine, ME, START).wait()
+                await asyncio.sleep(3.0)
+                job = operations.move_joints(machine, ME, NEXT)
+                if what == "process":
+                    loop.call_later(delay_ms / 1000, loop.stand_still, 5.0)
+                else:
+                    loop.call_later(delay_ms / 1000, running_board("stalls").faults.inject, "drop:p=1/2.5s")
+                await asyncio.sleep(7.0)
+                steps = machine.arm_state.steps
+                await asyncio.sleep(4.0)
+                assert machine.arm_state.steps == steps, delay_ms
+                if machine.state is MachineState.HELD:
+                    ends["held"] += 1
+                    await machine.resume(ME)
+                    await job.wait()
+                else:
+                    ends["not begun"] += 1
+                    with pytest.raises(StoppedError, match="stood still for more than a second before the motion"):
+                        await job.wait()
+                    assert machine.state is MachineState.IDLE
+                    assert machine.arm_state.joints_deg == pytest.approx(START, abs=0.03)
+                    await operations.move_joints(machine, ME, NEXT).wait()
+                assert machine.arm_state.joints_deg == pytest.approx(NEXT, abs=0.03), (delay_ms, ends)
+            shut_down("stalls")
+        assert ends["held"] > 0
+        assert what == "line" or ends["not begun"] > 0
 
     virtual(scenario())
