@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import tempfile
 from pathlib import Path
 
 import click
@@ -91,8 +92,8 @@ def main(
     if sum(where is not None for where in (pty, tcp, can)) != 1:
         raise click.UsageError("choose where to listen: --pty LINK, --tcp HOST:PORT or --can URL")
     for file in (vcd, trace):
-        if file is not None and not file.resolve().parent.is_dir():
-            raise click.UsageError(f"{file}: there is no folder {file.resolve().parent}")
+        if file is not None:
+            _require_writable(file)
     try:
         run = RunOptions(
             emulator=EmulatorOptions(
@@ -110,6 +111,21 @@ def main(
         asyncio.run(serve(options, lambda text: click.echo(f"rm501-sim-board: {text}")))
     except SimBoardError as error:
         raise click.ClickException(str(error)) from error
+
+
+def _require_writable(file: Path) -> None:
+    """These files are written at the end: what cannot be made now would cost the whole recording."""
+    folder = file.resolve().parent
+    if not folder.is_dir():
+        raise click.UsageError(f"{file}: there is no folder {folder}")
+    try:
+        if file.exists():
+            with file.open("ab"):
+                return
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise click.UsageError(f"{file}: cannot be written: {error.strerror or error}") from error
 
 
 def _host_and_port(text: str) -> tuple[str, int]:

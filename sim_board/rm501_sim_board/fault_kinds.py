@@ -31,6 +31,21 @@ _REBOOT_MS = 20.0
 _TERMINALS = tuple(t.value.lower() for t in Terminal)
 
 
+_ANY = (-1e12, 1e12)
+_RANGES = {
+    "p": (0.0, 1.0),
+    "level": (0.0, 1.0),
+    "ms": (0.0, 3.6e6),
+    "dark_ms": (0.0, 3.6e6),
+    "glitches": (0.0, 1e5),
+    "kg": (0.0, 100.0),
+    "bytes": (0.0, 1e8),
+    "slots": (0.0, 255.0),
+    "frames": (0.0, 2.0**32 - 1),
+}
+"""What a number may be, by the parameter's name; the others may be negative."""
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One parameter of a fault: a number, or one of `choices`; None as default means that it must be given."""
@@ -57,6 +72,9 @@ class Parameter:
             number = float("nan")
         if not np.isfinite(number):
             raise FaultSpecError(f"fault {fault}: {self.name}={given!r} is not a number")
+        low, high = _RANGES.get(self.name, _ANY)
+        if not low <= number <= high:
+            raise FaultSpecError(f"fault {fault}: {self.name}={given}; choose {low:g} to {high:g} ({self.text})")
         return number
 
 

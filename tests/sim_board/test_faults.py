@@ -174,3 +174,12 @@ def test_the_host_names_the_full_queue_when_a_board_promised_too_many_slots() ->
     outcome = run_case("queue-lie:slots=255", 1, LONG_TEXT)
     assert "no free slot" in outcome.text
     assert (outcome.late_steps, outcome.trusted_mask) == (0, 0b11111)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["flip:p=2", "drop:p=-0.1", "garbage:bytes=-5", "burst:ms=-1", "line-stuck:line=strobe_724,level=7", "payload:kg=-1"],
+)
+def test_a_number_that_cannot_be_is_refused_with_its_range(text: str) -> None:
+    with pytest.raises(FaultSpecError, match="choose"):
+        check_fault(parse_fault(text))

@@ -252,3 +252,12 @@ def test_wrong_arguments_are_refused_with_a_remedy(arguments, text) -> None:
     result = CliRunner().invoke(command_line, arguments)
     assert result.exit_code in (1, 2)
     assert text in result.output
+
+
+def test_a_recording_that_could_not_be_written_is_refused_at_the_start(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    for option, file in (("--vcd", tmp_path), ("--trace", blocked / "below.npz"), ("--vcd", Path("/proc/run.vcd"))):
+        result = CliRunner().invoke(command_line, ["--pty", str(tmp_path / "board"), option, str(file)])
+        assert result.exit_code == 2
+        assert str(file) in result.output
