@@ -178,7 +178,14 @@ def test_the_host_names_the_full_queue_when_a_board_promised_too_many_slots() ->
 
 @pytest.mark.parametrize(
     "text",
-    ["flip:p=2", "drop:p=-0.1", "garbage:bytes=-5", "burst:ms=-1", "line-stuck:line=strobe_724,level=7", "payload:kg=-1"],
+    [
+        "flip:p=2",
+        "drop:p=-0.1",
+        "garbage:bytes=-5",
+        "burst:ms=-1",
+        "line-stuck:line=strobe_724,level=7",
+        "payload:kg=-1",
+    ],
 )
 def test_a_number_that_cannot_be_is_refused_with_its_range(text: str) -> None:
     with pytest.raises(FaultSpecError, match="choose"):
