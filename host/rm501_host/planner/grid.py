@@ -22,7 +22,7 @@ from .elements import Array, ElementTable, Indices
 from .errors import JointLimitError, PlanError
 from .geometry import PathPoints, path_points
 from .limits import Limits
-from .timelaw import IntervalLines, mvc, solve_lines, strips
+from .timelaw import IntervalLines, mvc, solve_lines, strips, without_dead_ends
 
 LONGEST_INTERVAL_MM = 0.25
 """First cut of an element (deg in joint space); time-optimality wants some intervals per acceleration phase."""
@@ -155,8 +155,8 @@ class GridBuilder:
         if self._check_limits:
             self._check_ranges(table, rows, element, start, stop, ia, im, ib)
         limit = np.maximum(self._bounds - 1.2 * bend, 0.5 * self._bounds)
-        lines = solve_lines(
-            strips(stop - start, rows.a[ia], rows.b[ia], rows.a[ib], rows.b[ib], limit, x_top[0], x_top[1])
+        lines = without_dead_ends(
+            solve_lines(strips(stop - start, rows.a[ia], rows.b[ia], rows.a[ib], rows.b[ib], limit, x_top[0], x_top[1]))
         )
         return Grid(element, start, stop, lines)
 

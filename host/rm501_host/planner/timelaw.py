@@ -28,7 +28,7 @@ limit's left side can rise between the two ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _TINY = 1e-9
+_DEAD_END = 0.01
+"""An interval whose largest x leads to less than this share of its largest y is a dead end (tiny blends have some)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +106,16 @@ def solve_lines(table: IntervalTable) -> IntervalLines:
     least_y = np.where(uses_y, -gamma + delta * peak_x[:, None], -np.inf).max(axis=1)
     peak_y = np.clip(least_y, 0.0, table.y_cap)
     return IntervalLines(table.length, alpha, beta, gamma, delta, peak_x, peak_y, table.y_cap)
+
+
+def without_dead_ends(lines: IntervalLines) -> IntervalLines:
+    """The lines with a little less than the largest x where that leads to rest alone, so that every law goes on.
+
+    The fastest pass would come to rest in the middle of a path there, and a law at rest inside it never ends.
+    """
+    most_y = (lines.gamma + lines.delta * lines.peak_x[:, None]).min(axis=1)
+    top_y = np.minimum(lines.gamma.min(axis=1), lines.y_cap)
+    return replace(lines, peak_x=np.where(most_y < _DEAD_END * top_y, 0.9 * lines.peak_x, lines.peak_x))
 
 
 def _extents(table: IntervalTable, size_p: Array, size_q: Array) -> tuple[Array, Array]:
