@@ -339,9 +339,12 @@ def _to_way(way: Way, places: Array, q_deg: Array, *, exact: bool) -> tuple[Arra
             return np.linalg.norm(places - ends[0, :3], axis=1), np.zeros(len(places))
         _, t = _to_line(wanted, ends[0, : wanted.shape[1]], ends[1, : wanted.shape[1]])
         return np.linalg.norm(places - way.at(t)[:, :3], axis=1), t
-    # twice, over either half: a closed curve passes its start at both ends
-    found = [_nearest(at, wanted, first, first + 0.5, int(np.clip(way.length, 64, 512))) for first in (0.0, 0.5)]
-    t = np.where(found[0][1] <= found[1][1], found[0][0], found[1][0])
+    # part by part: a closed curve passes its start at both ends, a spline may cross itself
+    count = int(np.clip(way.length, 64, 512))
+    edges = np.linspace(0.0, 1.0, way.parts + 1).tolist()
+    found = [_nearest(at, wanted, first, last, count) for first, last in pairwise(edges)]
+    best = np.argmin(np.array([squares for _, squares in found]), axis=0)
+    t = np.array([places_t for places_t, _ in found])[best, np.arange(len(wanted))]
     return np.linalg.norm(at(t)[:, :3] - places, axis=1), t
 
 

@@ -38,7 +38,7 @@ class Way:
 
     `speed_mm_s`, `turn_deg_s`: what the feed allows the tool centre point, and pitch and roll where it stands still.
     `blend_mm` None: exact path. `line_ends`: both ends where it is straight in x, y, z. `rotation`: XYZABC's tool
-    orientation at t. `length`: mm of x, y, z, or deg where only angles move.
+    orientation at t. `length`: mm of x, y, z, or deg where only angles move. `parts`: in how many it is free of loops.
     """
 
     line: int
@@ -54,6 +54,7 @@ class Way:
     turn_deg_s: float = np.inf
     fewest_s: float = 0.0
     is_straight: bool = False
+    parts: int = 2
     rotation: Callable[[float], Array] | None = None
 
 
@@ -265,6 +266,7 @@ class _Reader:
         feed: dict[str, float],
         *,
         is_straight: bool = False,
+        parts: int = 2,
     ) -> None:
         rotation = _turning(self._arm, self._here, target) if self._arm.has_rpy else None
         self._add_way(
@@ -280,6 +282,7 @@ class _Reader:
                 self._mode is canon.MotionMode.EXACT_STOP,
                 **feed,  # type: ignore[arg-type]
                 is_straight=is_straight,
+                parts=parts,
                 rotation=rotation,
             )
         )
@@ -361,7 +364,7 @@ class _Reader:
 
         points = at(np.linspace(0.0, 1.0, 2001))
         length = float(np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1).sum())
-        self._path(at, length, target, end_deg, call.at.line, self._feed(length, 0.0, curved=True))
+        self._path(at, length, target, end_deg, call.at.line, self._feed(length, 0.0, curved=True), parts=12)
 
 
 def _turning(arm: JudgeArm, first: Array, last: Array) -> Callable[[float], Array]:
