@@ -16,6 +16,7 @@ SHORT: dict[str, tuple[str, ...]] = {
     "interpreter": ("--n", "1e4", "--memory-lines", "1e5"),
     "planner": (),
     "backlash": ("--no-emulator",),
+    "live_path": ("--n", "10"),
     "clock_sync": ("--n", "2000"),
     "fuzz_frames": ("--n", "1e5"),
     "soak": ("--hours", "0.2", "--stops", "200"),
