@@ -23,7 +23,7 @@ DEFAULT_KEEP_WORDS = 15_000_000
 # Steps come in blocks of a few; so many are joined at a time.
 _LOOSE_BLOCKS = 512
 # A switch that chatters changes the word in every frame.
-_KEEP_INPUTS = 200_000
+KEEP_INPUTS = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +104,8 @@ class Recording:
         """Note the input word read at `frame`, when it differs from the last one; the last one is always kept."""
         if not self.inputs or self.inputs[-1].word != word:
             self.inputs.append(InputChange(frame, word))
-            if len(self.inputs) > _KEEP_INPUTS:
-                del self.inputs[: _KEEP_INPUTS // 2]
+            if len(self.inputs) > KEEP_INPUTS:
+                del self.inputs[: KEEP_INPUTS // 2]
 
     def words(self, first_period: int | None = None, end_period: int | None = None) -> tuple[int, WordArray]:
         """Kept port words and the base period of the first; the optional range must still be kept."""
