@@ -3,8 +3,9 @@
     python -m benchmarks.planner [--n LINES]
 
 Motion times stand beside the time-optimal bounds (and beside toppra's on the same grid of joint positions, where
-toppra is installed). The spiral's own bound is the law of the ideal spiral (a smooth curve through its points) on a
-grid four times as fine; legality comes from differences of 1 ms samples. `--n` sets the length of the long program
+toppra is installed). `own bound` (stops at every corner) and the spiral's bound (the smooth curve through its points)
+come from the judge's phase plane (tests/support/judge_bound.py), which shares nothing with the planner; legality comes
+from differences of 1 ms samples. `--n` sets the length of the long program
 (default 20,000 lines; 1e5 in full): CPU to the first segment, planning speed, memory.
 """
 
@@ -12,24 +13,22 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from itertools import islice
 from math import cos, sin
+from pathlib import Path
 
 import numpy as np
 
-import rm501_host.planner.grid as grid_module
 from rm501_host.config import load_config
 from rm501_host.gcode import Interpreter, TextLines, resolve
 from rm501_host.kinematics import Arm
-from rm501_host.moves import Feed, LinearMove, Move, Source
+from rm501_host.moves import ArcMove, Feed, LinearMove, Move, Source
 from rm501_host.planner import Plan, Planner
-from rm501_host.planner.elements import Element, Space
-from rm501_host.planner.grid import GridBuilder
 from rm501_host.planner.limits import Limits
-from rm501_host.planner.window import Window
 from rm501_host.preflight import ProgramCheck
 from rm501_host.segmenter import Segmenter
 from rm501_host.segmenter.fit import to_q48
@@ -40,6 +39,9 @@ from tests.host.planner.programs import (
     pick_and_place,
     polyline,
 )
+from tests.support.judge_arm import JudgeArm
+from tests.support.judge_bound import bound_s
+from tests.support.judge_program import Way, read_program
 from tests.support.plan_checker import judge_samples
 
 CONFIG = load_config()
@@ -97,22 +99,44 @@ class _Smooth:
         return rows[0], rows[1], rows[2]
 
 
-def spiral_bound_s(count: int) -> float:
-    """Time of the ideal spiral under the same limits, on a finer grid."""
+def spiral_bound_s(count: int, start_deg: tuple[float, ...]) -> float:
+    """Bound of the smooth curve through the spiral's points: the judge's own phase plane, not the planner's."""
     smooth = _Smooth(np.array(spiral_points(count)))
-    first, most = grid_module.LONGEST_INTERVAL_MM, grid_module.MOST_FIRST_INTERVALS
-    grid_module.LONGEST_INTERVAL_MM, grid_module.MOST_FIRST_INTERVALS = 0.1, 1_000_000
-    try:
-        window = Window(ARM, GridBuilder(ARM, LIMITS), 320e-6)
-        element = Element(
-            Space.TASK, smooth.length, np.zeros((4, 5)), Source("bound", 0), feed_mm_s=100.0, curve=smooth
-        )
-        window.extend([element])
-        stretch = window.finish()
-    finally:
-        grid_module.LONGEST_INTERVAL_MM, grid_module.MOST_FIRST_INTERVALS = first, most
-    assert stretch is not None
-    return stretch.law.duration_s
+    arm, start = JudgeArm.of(CONFIG), np.array(start_deg)
+    way = Way(
+        0,
+        False,
+        arm,
+        lambda t: smooth.evaluate(t * smooth.length)[0],
+        smooth.length,
+        start,
+        start,
+        None,
+        False,
+        speed_mm_s=100.0,
+    )
+    return bound_s(CONFIG, way, 20_000)
+
+
+def stopping_bound_s(moves: list[Move], start_deg: tuple[float, ...]) -> float:
+    """Bound of lines and arcs with a stop at every corner, by the judge's phase plane."""
+    rows = ["G21 G90 G94 G61.1"]
+    at = np.array(ARM.fk(start_deg).xyz_mm)
+    for move in moves:
+        if isinstance(move, LinearMove | ArcMove):
+            x, y, z, a, b, _ = move.target
+            place = f"X{x:.9f} Y{y:.9f} Z{z:.9f} A{a:.9f} B{b:.9f} F{move.feed.value:g}"
+            if isinstance(move, ArcMove):
+                code = "G3" if move.angle_deg > 0 else "G2"
+                rows.append(f"{code} {place} I{move.centre_mm[0] - at[0]:.9f} J{move.centre_mm[1] - at[1]:.9f}")
+            else:
+                rows.append(f"G1 {place}")
+            at = np.array(move.target[:3])
+    with tempfile.TemporaryDirectory() as folder:
+        program = Path(folder) / "stopping.ngc"
+        program.write_text("\n".join([*rows, "M2", ""]))
+        items = read_program(CONFIG, program, np.array(start_deg))
+    return sum(bound_s(CONFIG, item, 2000) for item in items if isinstance(item, Way))
 
 
 def toppra_s(plan: Plan) -> float | None:
@@ -150,7 +174,10 @@ def toppra_s(plan: Plan) -> float | None:
 def run_cases() -> bool:
     """The table of motion times; whether all hold."""
     good = True
-    print(f"{'case':30} {'motion s':>9} {'bound s':>9} {'target s':>9} {'worst ratio':>12} {'toppra s':>9}")
+    print(
+        f"{'case':30} {'motion s':>9} {'anchor s':>9} {'target s':>9} {'own bound':>10} {'worst ratio':>12} "
+        f"{'toppra s':>9}"
+    )
     for name, moves, start, bound, target in CASES:
         plan = Plan(ARM, CONFIG, Planner(ARM, CONFIG, start).plan(moves()))
         samples = plan.sample()
@@ -160,7 +187,9 @@ def run_cases() -> bool:
         good &= fine
         told = f"{peer:9.3f}" if peer is not None else f"{'-':>9}"
         mark = "" if fine else "  MISSED"
-        print(f"{name:30} {plan.motion_s:9.3f} {bound:9.3f} {target:9.3f} {worst:12.6f} {told}{mark}")
+        stopping = "stopping" in name or "G61.1" in name
+        own = f"{stopping_bound_s(moves(), start):10.3f}" if stopping else f"{'-':>10}"
+        print(f"{name:30} {plan.motion_s:9.3f} {bound:9.3f} {target:9.3f} {own} {worst:12.6f} {told}{mark}")
     return good
 
 
@@ -174,7 +203,7 @@ def run_spiral(count: int) -> bool:
     cpu = time.process_time() - before
     samples = plan.sample()
     worst = judge_samples(CONFIG, samples.t_s, samples.q_deg).worst
-    bound = spiral_bound_s(count)
+    bound = spiral_bound_s(count, start.q_deg)
     speed = plan.motion_s / cpu
     fine = plan.motion_s <= 1.03 * bound and worst <= 1.0 + 1e-6 and speed >= 10.0
     print(

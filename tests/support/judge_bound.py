@@ -1,7 +1,7 @@
 """How fast a path could be passed at best: the judge's own phase plane, nothing of the planner's time law.
 
 Along q(t) the limits are |a_i u + b_i x| <= c_i with a = R q', b = R q'', x the squared speed of the parameter, u half
-its slope; R stacks joints and motors. On a fine grid: x below the maximum velocity curve and below the caps of rates and
+its slope; R stacks joints and motors. On a fine grid: x below the maximum velocity curve and the caps of rates and
 feed; backwards the largest deceleration, forwards the largest acceleration, both by explicit steps (Bobrow, Dubowsky
 and Gibson 1985). Where the maximum velocity curve itself cannot be followed this is faster than any law, so it stays a
 bound.
