@@ -6,11 +6,12 @@ path acceleration into a piecewise linear one and never leaves the path:
     s~(t) = (S(t) - S(t - w)) / w,     S' = s,     ds~/dt = (s(t) - s(t - w)) / w,     d2s~/dt2 = (v(t) - v(t - w)) / w
 
 w = max 2 A_i / J_i: over that time a joint's acceleration may swing from -A to A. On a straight line in joint space
-the result keeps all limits and the jerk; on curved paths it is measured (joints and motors, every 2 ms): where it is
-too fast the speed of the base law is capped and the law solved again, until at most 1 % is missing; the rest is taken
-from the whole law by stretching it in time by the smallest factor k that makes it legal (accelerations fall by k^2,
-jerks by k^3). The path itself must have continuous curvature, so in this mode blends are quintics without curvature at
-their ends, and where the curvature jumps (line to arc) the arm stops.
+the result keeps all limits and the jerk; on curved paths it is measured (joints and motors, every millisecond): where
+it is too fast the speed of the base law is capped and the law solved again, until at most 1 % is missing; the rest is
+taken from the whole law by stretching it in time by the smallest factor k that makes it legal (accelerations fall by k^2,
+jerks by k^3). Chains too long for that are planned in windows (`jerk_window`). The path itself must have continuous
+curvature, so in this mode blends are quintics without curvature at their ends, and where the curvature jumps (line to
+arc) the arm stops.
 """
 
 from __future__ import annotations
@@ -26,38 +27,51 @@ from .elements import Array, Element, ElementTable, Indices
 from .geometry import joints_along, path_points
 from .law import PathLaw, passed
 from .limits import Limits
-from .outputs import output_events
+from .outputs import Place, output_events
 from .pieces import PieceEvent
 from .timelaw import IntervalLines, fastest_speeds
 
-_PROBE_S = 2e-3
+_PROBE_S = 1e-3
 _MARGIN = 1e-6
 _ROUNDS = 24
 _CLOSE = 1.01
 
 
+def window_of(limits: Limits) -> float:
+    """The window in s: over it a joint's acceleration may swing from -A to A within its jerk."""
+    return float((2.0 * limits.joint_acceleration_deg_s2 / limits.jerk_deg_s3).max())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class JerkLaw:
-    """A `PathLaw` from rest to rest, averaged over `window_s` and stretched by `stretch` in time."""
+    """A `PathLaw`, averaged over `window_s` and stretched by `stretch` in time.
+
+    From rest to rest; or, where `length_s` is given, the part of it that begins `lead_s` after the start of `base`,
+    which then holds what the average needs. `first`, `last`: the places on the path from which on and before which
+    output changes belong to it.
+    """
 
     base: PathLaw
     window_s: float
     stretch: float
     way: Array
     area: Array
-    offsets: Array
+    lead_s: float = 0.0
+    length_s: float | None = None
+    first: Place | None = None
+    last: Place | None = None
 
     @classmethod
     def over(cls, base: PathLaw, lines: IntervalLines, limits: Limits, frame_s: float) -> JerkLaw:
         """The law for the path of `base`, whose intervals have the limits `lines`, that keeps all limits and the
         joints' jerk, a whole number of frames long.
         """
-        window_s = float((2.0 * limits.joint_acceleration_deg_s2 / limits.jerk_deg_s3).max())
-        best = law = cls._smoothed(base, window_s)
+        window_s = window_of(limits)
+        best = law = cls.smoothed(base, window_s)
         least = np.inf
         cap = np.full(len(base.element), np.inf)
         for _ in range(_ROUNDS):
-            times, ratios = law._ratios(limits)
+            times, ratios = law.slowdowns(limits)
             duration = law.duration_s * float(max(1.0, ratios.max()))
             if duration < least:
                 least, best = duration, law
@@ -76,14 +90,15 @@ class JerkLaw:
             speeds = fastest_speeds(capped)
             speeds[-1] = 0.0
             again = PathLaw.from_speeds(base.arm, base.table, base.element, base.start, base.stop, speeds)
-            law = cls._smoothed(again, window_s)
-        times, ratios = best._ratios(limits)
+            law = cls.smoothed(again, window_s)
+        _, ratios = best.slowdowns(limits)
         stretch = max(1.0, float(ratios.max())) * (1.0 + _MARGIN)
         frames = np.ceil(best.duration_s * stretch / frame_s - 1e-9)
         return replace(best, stretch=float(frames * frame_s / best.duration_s))
 
     @classmethod
-    def _smoothed(cls, base: PathLaw, window_s: float) -> JerkLaw:
+    def smoothed(cls, base: PathLaw, window_s: float) -> JerkLaw:
+        """The average, whether it keeps the limits or not."""
         spans = np.diff(base.time_s)
         lengths = base.stop - base.start
         way = np.concatenate((np.zeros(1), np.cumsum(lengths)))
@@ -91,12 +106,13 @@ class JerkLaw:
         # integral of s over an interval: s0 T + v0 T^2 / 2 + u T^3 / 6
         pieces = way[:-1] * spans + spans**2 * (v0 / 2.0 + (v1 - v0) / 6.0)
         area = np.concatenate((np.zeros(1), np.cumsum(pieces)))
-        ends = np.concatenate((np.zeros(1), np.cumsum(base.table.length)))
-        return cls(base, window_s, 1.0, way, area, ends)
+        return cls(base, window_s, 1.0, way, area)
 
     @property
     def duration_s(self) -> float:
-        """From rest to rest."""
+        """From rest to rest, or of the part."""
+        if self.length_s is not None:
+            return self.length_s
         return (self.base.duration_s + self.window_s) * self.stretch
 
     def _at(self, time_s: Array) -> tuple[Array, Array, Array]:
@@ -116,17 +132,20 @@ class JerkLaw:
 
     def _path(self, time_s: Array) -> tuple[Array, Array, Array]:
         """s, ds/dt, d2s/dt2 of the smoothed law."""
-        t = time_s / self.stretch
+        t = time_s / self.stretch + self.lead_s
         area1, s1, v1 = self._at(t)
         area0, s0, v0 = self._at(t - self.window_s)
         w = self.window_s
         return (area1 - area0) / w, (s1 - s0) / (w * self.stretch), (v1 - v0) / (w * self.stretch**2)
 
+    def path_speeds(self, time_s: Array) -> Array:
+        """ds/dt of the average, (n,)."""
+        return self._path(time_s)[1]
+
     def _place(self, s: Array) -> tuple[Indices, Array]:
-        lengths = self.base.table.length
-        inside = np.clip(s, 0.0, self.offsets[-1])
-        index = np.clip(np.searchsorted(self.offsets, inside, side="right") - 1, 0, len(lengths) - 1)
-        return index, np.clip(inside - self.offsets[index], 0.0, lengths[index])
+        base = self.base
+        k = np.clip(np.searchsorted(self.way, s, side="right") - 1, 0, len(base.element) - 1)
+        return base.element[k], np.clip(base.start[k] + (s - self.way[k]), base.start[k], base.stop[k])
 
     @property
     def arm(self) -> Arm:
@@ -148,7 +167,8 @@ class JerkLaw:
 
     def time_at(self, index: int, s: float) -> float:
         """When it passes s on element `index`, which it does: by bisection, as the place only rises."""
-        wanted = float(self.offsets[index]) + s
+        k = int(np.searchsorted(self.base.element, index, side="left"))
+        wanted = float(self.way[k]) + s - float(self.base.start[k])
         low, high = 0.0, self.duration_s
         for _ in range(64):
             middle = 0.5 * (low + high)
@@ -160,8 +180,9 @@ class JerkLaw:
 
     def outputs(self) -> tuple[PieceEvent, ...]:
         """The output changes of the path that fall into this law, in order, at their exact times."""
-        last = len(self.table) - 1
-        return output_events(self.table, (0, 0.0), (last, float(self.table.length[last])), self.time_at)
+        end = len(self.table) - 1
+        last = self.last or (end, float(self.table.length[end]))
+        return output_events(self.table, self.first or (0, 0.0), last, self.time_at)
 
     def q_deg(self, time_s: Array) -> Array:
         """Joint angles (n, 5) in deg."""
@@ -187,12 +208,12 @@ class JerkLaw:
         """None: accelerations are continuous."""
         return np.zeros(0), np.zeros(0)
 
-    def _ratios(self, limits: Limits) -> tuple[Array, Array]:
+    def slowdowns(self, limits: Limits, first_s: float = 0.0) -> tuple[Array, Array]:
         """Times (n,), and how much slower the law would have to be there for every limit to hold (n,): the ratio of
         rates, the square root of that of accelerations, the cube root of that of jerks.
         """
-        count = max(32, int(self.duration_s / _PROBE_S))
-        times = np.linspace(0.0, self.duration_s, count + 1)
+        count = max(32, int((self.duration_s - first_s) / _PROBE_S))
+        times = np.linspace(first_s, self.duration_s, count + 1)
         way, v, u = self._path(times)
         index, s = self._place(way)
         points = path_points(self.base.arm, self.base.table, index, s)

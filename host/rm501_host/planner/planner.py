@@ -36,6 +36,7 @@ from .elements import Array, Element
 from .errors import PlanError
 from .grid import GridBuilder
 from .jerk import JerkLaw
+from .jerk_window import JerkStretch, JerkWindow
 from .law import PathLaw
 from .limits import Limits
 from .merging import LineMerger
@@ -101,8 +102,7 @@ class Planner:
                 self._window.extend([element])
             except PlanError:
                 break
-        stretch = self._window.finish()
-        if stretch is not None:
+        while (stretch := self._window.finish()) is not None:
             yield self._piece(stretch)
 
     def _set_arm(self) -> None:
@@ -113,7 +113,11 @@ class Planner:
             parabolic=self._config.planner.blend == "parabolic",
             jerk_limited=self._jerk_limited,
         )
-        self._window = Window(self._path.arm, builder, self._frame_s)
+        self._window: Window | JerkWindow = (
+            JerkWindow(self._path.arm, builder, self._limits, self._frame_s)
+            if self._jerk_limited
+            else Window(self._path.arm, builder, self._frame_s)
+        )
 
     def _take(self, move: Move | Action) -> Iterator[Piece]:
         match move:
@@ -241,7 +245,7 @@ class Planner:
         else:
             element = self._marked(element, 0.0)
         self._pass_corner(pending, element, corner)
-        if len(self._ready) >= CHUNK_ELEMENTS and not self._jerk_limited:
+        if len(self._ready) >= CHUNK_ELEMENTS:
             yield from self._advance()
 
     def _pass_corner(self, pending: Element, element: Element, corner: Corner) -> None:
@@ -270,14 +274,11 @@ class Planner:
         self._ready.append(pending.trimmed(self._used, pending.length))
         self._window.extend(self._ready)
         self._ready = []
-        stretch = self._window.finish()
-        if stretch is not None:
+        while (stretch := self._window.finish()) is not None:
             yield self._piece(stretch)
 
-    def _piece(self, stretch: Stretch) -> Piece:
+    def _piece(self, stretch: Stretch | JerkStretch) -> Piece:
         law: PathLaw | JerkLaw = stretch.law
-        if self._jerk_limited:
-            law = JerkLaw.over(stretch.law, stretch.lines, self._limits, self._frame_s)
         start_s = self._start_s + self._chain_s
         self._chain_s += law.duration_s
         duration = law.duration_s

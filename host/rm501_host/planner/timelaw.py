@@ -205,3 +205,15 @@ def law_duration(length: Array, speeds: Array) -> float:
     """Time in s that intervals of these lengths (n,) take at these squared speeds (n + 1,) of their ends."""
     roots = np.sqrt(speeds)
     return float(np.sum(2.0 * length / (roots[:-1] + roots[1:])))
+
+
+def joined_lines(first: IntervalLines, second: IntervalLines) -> IntervalLines:
+    """The intervals of both, one after another."""
+    return IntervalLines(
+        *(np.concatenate((getattr(first, name), getattr(second, name))) for name in IntervalLines.__dataclass_fields__)
+    )
+
+
+def sliced_lines(lines: IntervalLines, first: int, stop: int | None = None) -> IntervalLines:
+    """The intervals from `first` to before `stop`."""
+    return IntervalLines(*(getattr(lines, name)[first:stop] for name in IntervalLines.__dataclass_fields__))

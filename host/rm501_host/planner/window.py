@@ -19,7 +19,7 @@ from rm501_host.kinematics import Arm
 from .elements import Array, Element, ElementTable, Indices
 from .grid import Grid, GridBuilder
 from .law import PathLaw
-from .timelaw import IntervalLines, backward_pass, forward_pass, law_duration
+from .timelaw import IntervalLines, backward_pass, forward_pass, joined_lines, law_duration, sliced_lines
 
 MOST_INTERVALS = 12_000
 """Bound of the window; the spiral of 5000 lines of 0.2 mm at 100 mm/s needs about 1000."""
@@ -99,6 +99,10 @@ class Window:
         self._forget(grid, count)
         self._first_x, self._at_rest = squared, False
 
+    def take_over(self, elements: list[Element], grid: Grid) -> None:
+        """Begin with elements whose grid is known."""
+        self._elements, self._grid = list(elements), grid
+
     def extend(self, elements: list[Element]) -> None:
         """Add elements that join the last one smoothly; raises PlanError where they leave what the arm can do."""
         if not elements:
@@ -115,7 +119,7 @@ class Window:
             np.concatenate((old.element, grid.element + offset)),
             np.concatenate((old.start, grid.start)),
             np.concatenate((old.stop, grid.stop)),
-            _joined(old.lines, grid.lines),
+            joined_lines(old.lines, grid.lines),
         )
 
     def commit(self) -> Stretch | None:
@@ -187,7 +191,7 @@ class Window:
             grid.stop[:count],
             speeds[: count + 1],
         )
-        stretch = Stretch(law, tuple(taken), self._at_rest, at_end, _sliced(grid.lines, 0, count))
+        stretch = Stretch(law, tuple(taken), self._at_rest, at_end, sliced_lines(grid.lines, 0, count))
         self._committed_s += law.duration_s
         if at_end:
             self._grid, self._elements, self._first_x, self._at_rest = None, [], 0.0, True
@@ -203,7 +207,7 @@ class Window:
         first: Indices = grid.element[count:]
         low = int(first[0])
         self._elements = self._elements[low:]
-        self._grid = Grid(first - low, grid.start[count:], grid.stop[count:], _sliced(grid.lines, count))
+        self._grid = Grid(first - low, grid.start[count:], grid.stop[count:], sliced_lines(grid.lines, count))
 
 
 def _softened(lines: IntervalLines, speeds: Array, frame_s: float, *, head: bool, tail: bool) -> IntervalLines | None:
@@ -243,16 +247,6 @@ def _softened(lines: IntervalLines, speeds: Array, frame_s: float, *, head: bool
     )
 
 
-def _joined(first: IntervalLines, second: IntervalLines) -> IntervalLines:
-    return IntervalLines(
-        *(np.concatenate((getattr(first, name), getattr(second, name))) for name in IntervalLines.__dataclass_fields__)
-    )
-
-
-def _sliced(lines: IntervalLines, first: int, stop: int | None = None) -> IntervalLines:
-    return IntervalLines(*(getattr(lines, name)[first:stop] for name in IntervalLines.__dataclass_fields__))
-
-
 def _delayed(lines: IntervalLines, speeds: Array, wanted_s: float) -> Array:
     """The law made slower, to take `wanted_s`: one grid point near the end is passed less fast.
 
@@ -263,7 +257,7 @@ def _delayed(lines: IntervalLines, speeds: Array, wanted_s: float) -> Array:
     result = speeds
     for tail in (256, 1024, 4096, count):
         first = max(0, count - tail)
-        end = _sliced(lines, first)
+        end = sliced_lines(lines, first)
         before = whole - law_duration(end.length, speeds[first:])
         dip = _fit_dip(end, speeds[first:], wanted_s - before)
         if dip is not None:
