@@ -1,6 +1,6 @@
 """`rm501-host commission` as a newcomer uses it: a terminal, a daemon, a board that is wired otherwise than configured.
 
-python -m benchmarks.commission [--right] [--seed 1]
+python -m benchmarks.commission [--right]
 
 A board whose direction line of 724 lacks its inverter and whose wrist selects are exchanged runs behind a pty, with a
 daemon in front of it that was given a configuration with exchanged wrist switches. The command runs on a pseudo
@@ -23,9 +23,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from benchmarks.daemon_takeaways import Bench, apart, ready
+from rm501_host.commission.commands import laid_over, without_none
 from rm501_host.config.loader import load_config
 from rm501_host.errors import Rm501Error
+from rm501_host.ini_import.toml_text import toml_text
 from tests.operator.processes import REPOSITORY, Process, client_of, start_daemon
 from tests.support.commission_person import Watching
 
@@ -182,12 +186,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = folder / "given.toml"
-        text = (REPOSITORY / "configs" / "thesis.toml").read_text()
-        if not options.right:
-            before = "swap_wrist_switches = "
-            line = next(line for line in text.splitlines() if line.strip().startswith(before))
-            other = "true" if "false" in line else "false"
-            text = text.replace(line, f"{before}{other}")
+        thesis = load_config(REPOSITORY / "configs" / "thesis.toml")
+        exchanged = {"board": {"wiring": {"swap_wrist_switches": not options.right}}}
+        text = toml_text(laid_over(without_none(msgspec.to_builtins(thesis)), exchanged), {}, "Given.")
         config.write_text(text)
         try:
             good = asyncio.run(commission(folder, config, () if options.right else FAULTS))

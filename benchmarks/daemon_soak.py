@@ -225,8 +225,9 @@ def soak(hours: float, seed: int, traced_cycles: int) -> bool:
         f"  hand: strokes shown in status {found.seen_hand}/{cycles} cycles, power pulses missed or made too many: "
         f"{found.missed_pulses} of {2 * _PULSES * cycles}"
     )
+    rings = "rings full" if settled else "rings still fill" if cycles >= JUDGED_CYCLES else "too few to judge"
     print(
-        f"  memory of the process from cycle {first} on ({'rings full' if settled else 'rings still fill' if cycles >= JUDGED_CYCLES else 'too few to judge'}): "
+        f"  memory of the process from cycle {first} on ({rings}): "
         f"{looked[0][1]} -> {looked[-1][1]} blocks, {kept:+.3f} a cycle; "
         f"resident {looked[0][2] / 1e6:.1f} -> {looked[-1][2] / 1e6:.1f} MB, "
         f"{resident:+.0f} bytes a cycle"
