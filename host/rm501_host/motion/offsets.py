@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,14 @@ _MOST_KEPT = 512
 """Segments remembered: a board's queue and what the link holds are far fewer."""
 
 
+class _Sent(NamedTuple):
+    """A segment, without the plan behind it."""
+
+    start_frame: int
+    end_frame: int
+    offsets: OffsetLaw
+
+
 class PlayOffsets:
     """Follows the segments that are sent; joints are what the motors stand for, less these offsets.
 
@@ -23,7 +32,7 @@ class PlayOffsets:
 
     def __init__(self, config: Config) -> None:
         self._columns = play_columns(Limits.from_config(config))
-        self._sent: deque[PlannedSegment] = deque(maxlen=_MOST_KEPT)
+        self._sent: deque[_Sent] = deque(maxlen=_MOST_KEPT)
         self._rest: OffsetLaw = NO_OFFSETS
 
     @property
@@ -53,7 +62,7 @@ class PlayOffsets:
     def add(self, planned: PlannedSegment) -> None:
         """A segment has been sent."""
         if planned.offsets is not NO_OFFSETS:
-            self._sent.append(planned)
+            self._sent.append(_Sent(planned.start_frame, planned.end_frame, planned.offsets))
 
     def at(self, frame: int) -> tuple[float, ...]:
         """Offsets (5,) of the joints in deg at a motion frame (64 bits); outside what is known those of its nearer
@@ -68,9 +77,9 @@ class PlayOffsets:
         return law.leads_deg(frame)
 
     def _around(self, frame: int) -> tuple[OffsetLaw, int]:
-        for planned in self._sent:
-            if frame <= planned.end_frame:
-                return planned.offsets, max(frame, planned.start_frame)
+        for sent in self._sent:
+            if frame <= sent.end_frame:
+                return sent.offsets, max(frame, sent.start_frame)
         return self.law, self._end_frame
 
     def end_at(self, frame: int) -> None:
