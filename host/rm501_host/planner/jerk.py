@@ -9,9 +9,9 @@ w = max 2 A_i / J_i: over that time a joint's acceleration may swing from -A to 
 the result keeps all limits and the jerk; on curved paths it is measured (joints and motors, every millisecond): where
 it is too fast the speed of the base law is capped and the law solved again, until at most 1 % is missing; the rest is
 taken from the whole law by stretching it in time by the smallest factor k that makes it legal (accelerations fall by
-k^2, jerks by k^3). Chains too long for that are planned in windows (`jerk_window`). The path itself must have continuous
-curvature, so in this mode blends are quintics without curvature at their ends, and where the curvature jumps (line to
-arc) the arm stops.
+k^2, jerks by k^3). Chains too long for that are planned in windows (`jerk_window`). The path itself must have
+continuous curvature, so in this mode blends are quintics without curvature at their ends, and where the curvature jumps
+(line to arc) the arm stops.
 """
 
 from __future__ import annotations
