@@ -107,6 +107,11 @@ class ProgramCheck:
         """What the moves checked so far take at their feeds and the largest joint rates, without accelerations."""
         return self._check.nominal_s
 
+    @property
+    def is_quick_with_lines(self) -> bool:
+        """Whether straight lines are checked as arrays: not where orientations are given as roll, pitch, yaw."""
+        return self._check.takes_lines
+
     def take(self, move: Move | Action) -> None:
         """Check one more move: at once, or with the batch that it belongs to."""
         self._check.take(move)
@@ -182,7 +187,7 @@ class _Check:
         self._path = PathBuilder(arm, start_deg, linear_rapids=config.planner.linear_rapids)
         self.found = Collector()
         self._along = AlongCheck(Limits.from_config(config), KeepOut(config), self.found)
-        self._takes_lines = not arm.frame.has_rpy
+        self.takes_lines = not arm.frame.has_rpy
         self._batch = Batch()
         self._lines: list[LinearMove] = []
         self._margin_mm = 0.0
@@ -199,7 +204,7 @@ class _Check:
         """Check one move (some are checked when the batch is full)."""
         if move.source.line > self.line:
             self.line = move.source.line
-        if isinstance(move, LinearMove) and self._takes_lines:
+        if isinstance(move, LinearMove) and self.takes_lines:
             self._lines.append(move)
             self._taken += 1
             if len(self._batch) + len(self._lines) >= BATCH:

@@ -29,7 +29,7 @@ CHUNK = 512
 AHEAD_WHILE_RUNNING = 20_000
 """Checked moves to have in hand while the program runs: minutes of motion, a few megabytes."""
 OTHER_MOVES_COUNT = 12
-"""What is not a straight line takes about as long to check as so many lines."""
+"""What is not a straight line takes about as long to check as so many lines; so do lines with roll, pitch, yaw."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,8 @@ class RollingCheck:
                 if isinstance(move, StillReading):
                     cost += move.blocks
                 else:
-                    cost += 1 if isinstance(move, LinearMove) else OTHER_MOVES_COUNT
+                    quick = isinstance(move, LinearMove) and self._check.is_quick_with_lines
+                    cost += 1 if quick else OTHER_MOVES_COUNT
         if self._waits:
             what = "an input" if isinstance(moves[-1], InputWait) else "a probe"
             stopped_by = f"{moves[-1].source}: what follows depends on {what}"

@@ -213,3 +213,14 @@ def test_a_plan_that_fails_on_the_way_ends_at_rest(tmp_path: Path, monkeypatch: 
     assert moving[-1].ends_at_rest and not moving[-2].ends_at_rest
     end = ARM.program_from_joints(moving[-1].rest_deg)
     assert end[1] == pytest.approx(0.15 * (1100 - 3), abs=0.31)
+
+
+def test_what_takes_longer_to_check_is_checked_less_far_before_the_start() -> None:
+    thesis = load_config(Path(__file__).parents[3] / "configs" / "thesis.toml")
+    arm = Arm.from_config(thesis)
+    x, y, z, a, b, c = arm.program_from_joints(thesis.home_deg)
+    moves = [LinearMove((x, y + 0.05 * (i % 2), z, a, b, c), FEED, at(i + 1)) for i in range(3000)]
+    slow = RollingCheck(ProgramCheck(arm, thesis, thesis.home_deg), iter(moves), 3000)
+    assert slow.before_start().moves == 512
+    quick = rolling(iter(wiggle(2999)), 3000)
+    assert quick.before_start().moves == 3000
