@@ -17,7 +17,8 @@ from rm501_host.config import Config
 from rm501_host.errors import RefusedError
 from rm501_host.kinematics import Arm
 from rm501_host.kinematics.rotations import matrix_from_rpy
-from rm501_host.machine.jog_path import JOG_SOURCE, Heading, JogPath, JogWalker, with_speed
+from rm501_host.machine.jog_elements import JOG_SOURCE, Heading, with_speed
+from rm501_host.machine.jog_path import JogPath, JogWalker
 from rm501_host.planner import Limits, Piece, PieceKind, PlanError
 from rm501_host.planner.grid import GridBuilder
 from rm501_host.planner.jerk import JerkLaw

@@ -23,7 +23,8 @@ import numpy as np
 from rm501_host.config import JOINT_NAMES
 from rm501_host.errors import RefusedError, Rm501Error, StoppedError
 from rm501_host.machine.jobs import Job, JobKind
-from rm501_host.machine.jog_path import DAMPED_SOURCE, JOG_SOURCE, JogPath
+from rm501_host.machine.jog_elements import DAMPED_SOURCE, JOG_SOURCE
+from rm501_host.machine.jog_path import JogPath
 from rm501_host.machine.jog_plan import TOOL_AXES, WORLD_AXES, PlannedJog, plan_cartesian_jog
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
@@ -42,6 +43,9 @@ UNHOMED_SPEED = 0.2
 UNHOMED_REACH_DEG = 30.0
 """How far one jog of an unhomed joint may go: an end stop may be near."""
 _SHORTEST_DEG = 0.05
+_RAMP_TIMEOUT_S = 5.0
+"""The ramp at the end of a lease takes two seconds at most."""
+_POLL_S = 0.02
 _SWEEP_DEG = 0.5
 """Spacing at which a joint's jog is checked against keep-out zones."""
 
@@ -126,9 +130,9 @@ class Jogger:
             if not machine.stopped_by_lease():
                 raise
         except BoardRefusedError as error:
-            # the lease ran out before a segment arrived, or what was on its way found the queue dropped: nobody asks
-            # for the jog any more
-            if error.refused.reason is not RefusalReason.NO_LEASE and not machine.stopped_by_lease():
+            # the lease ran out before a segment arrived, or while some were on their way to a board that was already
+            # ramping down or had dropped its queue: nobody asks for the jog any more
+            if error.refused.reason is not RefusalReason.NO_LEASE and not await self._lease_ran_out():
                 raise
             ended_without_motion = True
         finally:
@@ -141,6 +145,15 @@ class Jogger:
         job.result["joints_deg"] = list(machine.planning_start_deg)
         job.result["damped"] = planned.path.is_damped
         job.result["deviation_mm"] = round(planned.path.deviation_mm, 3)
+
+    async def _lease_ran_out(self) -> bool:
+        """Once the board has told that motion ended: whether the lease's end did it."""
+        machine = self._machine
+        with contextlib.suppress(Rm501Error, TimeoutError):
+            async with asyncio.timeout(_RAMP_TIMEOUT_S):
+                while machine.last_end is None and machine.session.failure is None:  # noqa: ASYNC110  # a plain poll
+                    await asyncio.sleep(_POLL_S)
+        return machine.stopped_by_lease()
 
     def _on_progress(self, progress: Progress) -> None:
         self.is_damped = progress.source is not None and progress.source.line == DAMPED_SOURCE.line
