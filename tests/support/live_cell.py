@@ -235,7 +235,7 @@ async def trial(cell: LiveCell, reference: Reference, rng: random.Random, *, bac
         first_frame, began_s = cell.frames(), loop.time()
         job = await programs.run(ME, "live.ngc")
         for _ in range(rng.randint(1, most_acts)):
-            await asyncio.sleep(rng.uniform(0.05, 4.0))
+            await asyncio.sleep(rng.uniform(0.05, 4.0) if most_acts <= 8 else rng.uniform(0.05, 1.5))
             if job.done.is_set():
                 break
             if rng.random() < (0.6 if backs else 0.15):
@@ -278,11 +278,16 @@ async def _hold_and_go_on(cell: LiveCell, rng: random.Random, *, backs: bool) ->
                 text += " (held on the way)"
                 if not machine.waiting_for:
                     await machine.resume(ME)
-        async with asyncio.timeout(_HELD_S * 10):
-            while machine.waiting_for != "run back":  # noqa: ASYNC110  # polled from outside
-                await asyncio.sleep(0.05)
+        await until(lambda: machine.waiting_for == "run back")
     await machine.resume(ME)
     return text
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Look at it every 20 ms for at most some minutes."""
+    async with asyncio.timeout(_HELD_S * 10):
+        while not condition():  # noqa: ASYNC110  # polled from outside
+            await asyncio.sleep(0.02)
 
 
 async def _until_held(machine: Machine) -> bool:

@@ -32,9 +32,10 @@ from rm501_host.machine.board_port import BoardPort
 from rm501_host.machine.jobs import Job, JobBook, JobKind
 from rm501_host.machine.lease import MotionLease, Owner
 from rm501_host.machine.limits import RuntimeLimits
+from rm501_host.machine.settling import REST_TIMEOUT_S, settle
 from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe, next_state
 from rm501_host.motion import MotionStream
-from rm501_host.session import BoardRefusedError, BoardSession
+from rm501_host.session import BoardSession
 from rm501_host.session.board_session import LinkLostError, Notice
 from rm501_host.storage import JsonLog, PositionFile
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause
@@ -50,15 +51,11 @@ from rm501_protocol.messages import (
     SetOverride,
     SetPower,
     Status,
-    Truncate,
 )
 from rm501_protocol.segment import ONE_STEP
 from rm501_protocol.transport import Transport
 
 _LOGGER = logging.getLogger(__name__)
-_REST_TIMEOUT_S = 15.0
-"""An on-path stop from full speed takes 1.7 s on the thesis's program; this is far above any."""
-_REPORT_TIMEOUT_S = 2.0
 _NOTICE_S = 0.5
 """A job whose motion the board has ended notices within a status period; if not, it is ended."""
 HIGHEST_OVERRIDE = 2.0
@@ -136,7 +133,7 @@ class Machine:
             return
         with contextlib.suppress(Rm501Error):
             self._abort_now(session)
-            async with asyncio.timeout(_REST_TIMEOUT_S):
+            async with asyncio.timeout(REST_TIMEOUT_S):
                 await self.job.done.wait()
 
     @property
@@ -254,7 +251,7 @@ class Machine:
             return
         self.write_log("abort", who=who.name, motion=job.id)
         self._abort_now(self.session)
-        async with asyncio.timeout(_REST_TIMEOUT_S):
+        async with asyncio.timeout(REST_TIMEOUT_S):
             await job.done.wait()
 
     async def set_override(self, ratio: float, who: Owner) -> None:
@@ -299,7 +296,7 @@ class Machine:
             status = await session.refresh_status()
             if status.state is BoardState.FAULT:
                 status = await self._clear_fault(session, status, fault)
-            await self._settle(session)
+            await settle(session, self._newest_end)
             if session.status is not None and session.status.state is BoardState.IDLE:
                 session.post(Reset(FaultCode.NONE))
             if self.state is MachineState.ESTOP:
@@ -400,8 +397,11 @@ class Machine:
         if session is not None and session.failure is None and self.state.task is TaskState.ON:
             if (self.state is not MachineState.STOPPING or self._aborting) and job.error is not None:
                 # motion may be queued that nobody will complete, and only the board knows where it ended
-                with contextlib.suppress(Rm501Error, TimeoutError):
+                try:
                     await self.resync()
+                except (Rm501Error, TimeoutError) as error:
+                    # planning the next motion from a guess would lead the arm along another path than was checked
+                    self._fault(causes.unsettled(str(error)), "rest unknown")
             if self.state in (MachineState.HOLDING, MachineState.HELD):
                 self._apply(Event.ABORT)
             if self.state is MachineState.RUNNING or (self.state is MachineState.STOPPING and self._aborting):
@@ -427,46 +427,16 @@ class Machine:
     async def _truncate_when_held(self, session: BoardSession, job: Job) -> None:
         """After the hold of an abort: at rest on the path drop the rest of the queue, then end the job."""
         with contextlib.suppress(Rm501Error, TimeoutError):
-            async with asyncio.timeout(_REST_TIMEOUT_S):
-                status = await session.refresh_status()
-                while self.job is job and status.state in (BoardState.RUNNING, BoardState.HOLDING, BoardState.HELD):
-                    if status.state is BoardState.RUNNING:
-                        session.post(Hold())
-                    elif status.state is BoardState.HELD:
-                        await self._drop_queue(session, status)
-                    await asyncio.sleep(0.02)
-                    status = await session.refresh_status()
+            await settle(session, self._newest_end, lambda: self.job is job)
         self._end_job(job)
+
+    def _newest_end(self) -> MotionEnded | None:
+        return self.last_end
 
     def _end_job(self, job: Job) -> None:
         """Cancel a job that has not noticed by itself that its motion is over."""
         if self.job is job and self._job_task is not None:
             self._job_task.cancel()
-
-    async def _settle(self, session: BoardSession) -> Status:
-        """Bring the board to rest with an empty queue, motors as they are: READY, IDLE or BOOT."""
-        async with asyncio.timeout(_REST_TIMEOUT_S):
-            status = await session.refresh_status()
-            while status.state not in (BoardState.READY, BoardState.IDLE, BoardState.BOOT, BoardState.FAULT):
-                if status.state is BoardState.RUNNING:
-                    session.post(Hold())
-                elif status.state is BoardState.HELD:
-                    await self._drop_queue(session, status)
-                await asyncio.sleep(0.02)
-                status = await session.refresh_status()
-        return status
-
-    async def _drop_queue(self, session: BoardSession, status: Status) -> None:
-        """Drop what is queued behind a hold, once: a second Truncate would hit the motion after it. Waits for the
-        report of the end, too: one that comes late would be taken for the end of the next motion.
-        """
-        before = self.last_end
-        with contextlib.suppress(BoardRefusedError):
-            await session.command(Truncate(status.motion_frame), lambda now: now.state is not BoardState.HELD)
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_REPORT_TIMEOUT_S):
-                    while self.last_end is before and session.failure is None:  # noqa: ASYNC110  # a plain poll
-                        await asyncio.sleep(0.01)
 
     # ---------------------------------------------------------------------------------- reset, power
 
@@ -497,7 +467,7 @@ class Machine:
     async def resync(self) -> None:
         """After a motion that broke off in an unknown place: come to rest, take over the board's positions."""
         stream, session = self.stream, self.session
-        await self._settle(session)
+        await settle(session, self._newest_end)
         if stream is not None and session.status is not None and session.status.state is BoardState.READY:
             await stream.prepare()
 

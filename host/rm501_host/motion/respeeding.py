@@ -87,21 +87,23 @@ def takeover_place(
 ) -> tuple[PlannedSegment, PlannedSegment] | None:
     """The segment at whose start another law may take over, and the one before it; None where there is none yet."""
     known = [*mirror.sent, *waiting]
-    earliest = earliest_cut(config, known, now_frame)
+    earliest = earliest_cut(config, known, now_frame, (1 + attempts) * config.planner.stall_budget_s)
     if earliest is None:
         return None
-    frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
-    earliest += round((1 + attempts) * config.planner.stall_budget_s / frame_s)
     for before, planned in pairwise(known):
         if planned.start_frame >= earliest and live.may_respeed(planned):
             return planned, before
     return None
 
 
-def earliest_cut(config: Config, known: Sequence[PlannedSegment], now_frame: int) -> int | None:
-    """The first motion frame at which the board could still stop when it hears of the cut; by its own rule."""
+def earliest_cut(
+    config: Config, known: Sequence[PlannedSegment], now_frame: int, planning_s: float = 0.0
+) -> int | None:
+    """The first boundary at which the board could still stop when it hears of the cut, by its own rule, with so much
+    time for planning before.
+    """
     frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
-    soon = now_frame + round(_NEWS_S / frame_s)
+    soon = now_frame + round((_NEWS_S + planning_s) / frame_s)
     room = 0
     for planned in known:
         left = planned.end_frame - max(planned.start_frame, soon)

@@ -1,0 +1,296 @@
+"""Override above 100 % and running back while a program runs: judged at the pins and from the segments played."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from rm501_host.config import load_config
+from rm501_host.errors import RefusedError, StoppedError
+from rm501_host.kinematics import Arm
+from rm501_host.machine import MachineState, operations
+from rm501_host.motion import LivePath
+from rm501_host.planner import Planner
+from rm501_host.planner.run_back import KEPT_S
+from rm501_host.virtual_time import run_virtual
+from rm501_protocol.messages import MotionEnded, Refused, Truncate, Truncated
+from rm501_protocol.transport import Receiver, Transport
+from tests.host.planner.programs import PICK_START_DEG, pick_and_place
+from tests.support.live_cell import LiveCell, Reference, judge, live_cell, played, trial, undisturbed, until
+from tests.support.virtual_machine import ME, OTHER
+
+
+def in_cell(folder: Path, scenario: Callable[[LiveCell, Reference], Any], **options: Any) -> None:
+    async def main() -> None:
+        async with live_cell(folder, **options) as cell:
+            await scenario(cell, await undisturbed(cell))
+
+    run_virtual(main())
+
+
+async def held(cell: LiveCell, after_s: float) -> None:
+    machine = cell.service.machine
+    await asyncio.sleep(after_s)
+    await machine.hold(ME)
+    await until(lambda: machine.state is MachineState.HELD)
+
+
+async def went_back(cell: LiveCell) -> None:
+    await until(lambda: cell.service.machine.waiting_for == "run back")
+
+
+def test_the_override_changes_at_random_instants(tmp_path: Path) -> None:
+    """More of them: python -m benchmarks.live_path."""
+
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        rng = random.Random(1)
+        instants = cuts = 0
+        while instants < 50:
+            run = await trial(cell, reference, rng, backs=False, most_acts=40)
+            assert not run.wrong, run
+            instants += len(run.acts)
+            cuts += run.cuts
+        assert cuts >= 3
+
+    in_cell(tmp_path, scenario)
+
+
+def test_the_arm_runs_back_from_random_instants(tmp_path: Path) -> None:
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        rng = random.Random(4)
+        backs = 0
+        while backs < 8:
+            run = await trial(cell, reference, rng, backs=True, most_acts=12)
+            assert not run.wrong, run
+            backs += sum("back" in act for act in run.acts)
+
+    in_cell(tmp_path, scenario)
+
+
+def test_twice_the_feed_in_mid_program_takes_between_half_and_all_of_the_time(tmp_path: Path) -> None:
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        loop = asyncio.get_running_loop()
+        took = []
+        for after_s in (0.0, 5.0):
+            began_s = loop.time()
+            if after_s == 0.0:
+                await machine.set_override(2.0, ME)
+            with played() as log:
+                job = await programs.run(ME, "live.ngc")
+                await asyncio.sleep(after_s)
+                await machine.set_override(2.0, ME)
+                while not job.done.is_set():
+                    assert 0.0 <= programs.progress <= 1.0
+                    await asyncio.sleep(0.2)
+                await job.wait()
+            took.append(loop.time() - began_s)
+            assert log.cuts == (1 if after_s else 0)
+            await machine.set_override(1.0, ME)
+        assert took[0] < took[1] - 0.5 < reference.duration_s - 1.0
+        assert machine.plan_scale == 1.0
+        scales = [record.data["new"] for record in machine.log.ring if record.kind == "plan_scale"]
+        assert scales == [2.0, 1.0] * 2
+
+    in_cell(tmp_path, scenario)
+
+
+class SlowLine:
+    """A line whose bytes to the board take `delay_s`, in order."""
+
+    def __init__(self, inner: Transport) -> None:
+        self._inner = inner
+        self._due_s = 0.0
+        self._is_closed = False
+        self.delay_s = 0.0
+
+    @property
+    def packets(self) -> bool:
+        return self._inner.packets
+
+    @property
+    def bytes_per_second(self) -> int | None:
+        return self._inner.bytes_per_second
+
+    def start(self, receiver: Receiver) -> None:
+        self._inner.start(receiver)
+
+    def write(self, data: bytes) -> None:
+        loop = asyncio.get_running_loop()
+        self._due_s = max(self._due_s, loop.time() + self.delay_s)
+        loop.call_at(self._due_s, self._write, data)
+
+    def _write(self, data: bytes) -> None:
+        if not self._is_closed:
+            self._inner.write(data)
+
+    async def aclose(self) -> None:
+        self._is_closed = True
+        await self._inner.aclose()
+
+
+def test_a_cut_that_comes_too_late_changes_nothing_and_is_tried_again(tmp_path: Path) -> None:
+    slow: list[SlowLine] = []
+
+    def slowed(transport: Transport) -> Transport:
+        slow.append(SlowLine(transport))
+        return slow[-1]
+
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        answers: list[object] = []
+
+        def listen(notice: object) -> None:
+            if isinstance(notice, Truncated) or (isinstance(notice, Refused) and notice.message_id == Truncate.ID):
+                answers.append(type(notice))
+            assert not isinstance(notice, MotionEnded)
+
+        machine.session.add_listener(listen)
+        with played() as log:
+            job = await programs.run(ME, "live.ngc")
+            await asyncio.sleep(4.0)
+            slow[-1].delay_s = 0.9
+            await machine.set_override(2.0, ME)
+            await asyncio.sleep(1.0)
+            slow[-1].delay_s = 0.0
+            await job.wait()
+        assert answers[0] is Refused
+        assert answers[-1] is Truncated
+        assert log.cuts >= 1
+        assert machine.stream is not None
+        assert machine.stream.positions_steps[:5] == reference.steps[:5]
+
+    base = load_config()
+    planner = msgspec.structs.replace(base.planner, stall_budget_s=0.05)
+    in_cell(tmp_path, scenario, on_transport=slowed, config=msgspec.structs.replace(base, planner=planner))
+
+
+def test_back_and_forward_again_with_the_hand_and_the_progress_told(tmp_path: Path) -> None:
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        job = await programs.run(ME, "live.ngc")
+        await asyncio.sleep(1.0)
+        with pytest.raises(RefusedError, match="RUNNING; hold it"):
+            await programs.run_back(ME, 1.0)
+        await held(cell, 8.0)
+        before = programs.progress, programs.line
+        for wrong in (0.0, -1.0, 31.0, float("nan")):
+            with pytest.raises(RefusedError, match="is not above 0 and at most 30"):
+                await programs.run_back(ME, wrong)
+        assert await programs.run_back(ME, 5.0) == pytest.approx(5.0)
+        with pytest.raises(RefusedError, match="running back already"):
+            await programs.run_back(ME, 1.0)
+        await went_back(cell)
+        assert machine.state is MachineState.HELD
+        assert machine.arm_state.homed == (True,) * 5
+        assert programs.progress < before[0]
+        assert programs.line < before[1]
+        # as far as it came, no farther
+        farther = await programs.run_back(ME, KEPT_S)
+        assert farther < 9.0
+        await went_back(cell)
+        assert programs.progress == pytest.approx(0.0, abs=1e-6)
+        with pytest.raises(RefusedError, match="has not moved"):
+            await programs.run_back(ME, 1.0)
+        await machine.resume(ME)
+        await job.wait()
+        assert programs.progress == 1.0
+        assert machine.arm_state.hand == "OPEN"
+        assert machine.stream is not None
+        assert machine.stream.positions_steps[:5] == reference.steps[:5]
+
+    in_cell(tmp_path, scenario)
+
+
+def test_a_program_that_pauses_is_run_back_and_comes_forward_to_its_pause(tmp_path: Path) -> None:
+    program = "G21 G90 G94\nG61.1\nG0 X270 Y0 Z250 A0 B0\nG1 Y40 F2000\nM0\nG1 Y0\nM2\n"
+
+    async def main() -> None:
+        async with live_cell(tmp_path, program) as cell:
+            machine, programs = cell.service.machine, cell.service.programs
+            job = await programs.run(ME, "live.ngc")
+            await until(lambda: machine.waiting_for == "M0")
+            there = machine.arm_state.joints_deg
+            await programs.run_back(ME, 0.7)
+            await went_back(cell)
+            assert abs(machine.arm_state.joints_deg[0] - there[0]) > 2.0
+            await machine.resume(ME)
+            await until(lambda: machine.waiting_for == "M0")
+            assert machine.arm_state.joints_deg == pytest.approx(there, abs=1e-9)
+            await machine.resume(ME)
+            await job.wait()
+
+    run_virtual(main())
+
+
+def test_running_back_is_refused_without_a_program_by_others_and_after_an_abort(tmp_path: Path) -> None:
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        with pytest.raises(RefusedError, match="no program is under way"):
+            await programs.run_back(ME, 1.0)
+        move = operations.move_joints(machine, ME, (10.0, 60.0, -60.0, 60.0, 0.0))
+        await held(cell, 0.5)
+        with pytest.raises(RefusedError, match="no program is under way"):
+            await programs.run_back(ME, 1.0)
+        await machine.resume(ME)
+        await move.wait()
+        job = await programs.run(ME, "live.ngc")
+        await held(cell, 4.0)
+        machine.lease.take(ME)
+        with pytest.raises(RefusedError):
+            await programs.run_back(OTHER, 1.0)
+        await programs.run_back(ME, 1.0)
+        await went_back(cell)
+        await machine.abort(ME)
+        with pytest.raises(StoppedError):
+            await job.wait()
+        assert machine.state is MachineState.IDLE
+        assert machine.arm_state.homed == (True,) * 5
+
+    in_cell(tmp_path, scenario)
+
+
+def test_a_jerk_limited_program_runs_back_and_gets_faster_from_its_next_rest(tmp_path: Path) -> None:
+    base = load_config()
+    config = msgspec.structs.replace(base, planner=msgspec.structs.replace(base.planner, jerk_limited=True))
+    program = "G21 G90 G94\nG61.1\nG0 X270 Y0 Z250 A0 B0\nG1 Y30 F900\nG1 Y-30\nG1 Y0\nM2\n"
+
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        loop = asyncio.get_running_loop()
+        with played() as log:
+            job = await programs.run(ME, "live.ngc")
+            await held(cell, 1.5)
+            await programs.run_back(ME, 1.0)
+            await went_back(cell)
+            await machine.resume(ME)
+            await asyncio.sleep(0.5)
+            await machine.set_override(2.0, ME)
+            began_s = loop.time()
+            await job.wait()
+        assert loop.time() - began_s < reference.duration_s - 2.0
+        ratios = judge(cell.config, log.segments)
+        assert max(ratios.velocity, ratios.acceleration) <= 1.02
+        assert ratios.jump_steps_s < 0.5
+        assert machine.stream is not None
+        assert machine.stream.positions_steps == reference.steps
+
+    in_cell(tmp_path, scenario, config=config, program=program)
+
+
+def test_the_plan_itself_is_played_while_nobody_wants_more_than_100_percent() -> None:
+    """So what goes over the wire is the same, byte for byte, as without a live path."""
+    config = load_config()
+    pieces = tuple(Planner(Arm.from_config(config), config, PICK_START_DEG).plan(pick_and_place(2800.0, 2.0)))
+    live = LivePath(config)
+    live.begin(pieces)
+    for scale in (1.0, 1.0):
+        live.scale = scale
+    assert all(a is b for a, b in zip(live, pieces, strict=True))
+    assert not live.is_respeed_wanted
