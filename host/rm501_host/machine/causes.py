@@ -35,6 +35,14 @@ def link_lost(reason: str) -> Cause:
     )
 
 
+def unsettled(reason: str) -> Cause:
+    """A motion broke off, and the board did not say where that left it."""
+    return Cause(
+        f"where a motion that broke off has left the arm is not known: {reason}",
+        "look at the arm, then reset, which asks the board",
+    )
+
+
 def board_fault(fault: FaultCode) -> Cause:
     """A fault that the board latched."""
     text = FAULT_TEXTS.get(fault)
