@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from rm501_host.config import load_config
-from rm501_host.errors import Rm501Error, StoppedError
+from rm501_host.errors import RefusedError, Rm501Error, StoppedError
 from rm501_host.machine import Machine, MachineState, operations
+from rm501_host.motion import MotionStream
 from rm501_host.virtual_time import VirtualLoop, run_virtual
 from rm501_protocol.enums import BoardState
 from rm501_sim_board.emu_transport import running_board, shut_down
@@ -223,7 +224,7 @@ def test_what_stood_still_before_a_motion_began_does_not_begin_it(tmp_path: Path
             loop = asyncio.get_running_loop()
             assert isinstance(loop, VirtualLoop)
             await homed(service)
-            for delay_ms in (0, 4, 8, 12, 16, 24, 40, 60):
+            for delay_ms in (0, 8, 16, 60):
                 await operations.move_joints(machine, ME, START).wait()
                 await asyncio.sleep(3.0)
                 job = operations.move_joints(machine, ME, NEXT)
@@ -250,5 +251,38 @@ def test_what_stood_still_before_a_motion_began_does_not_begin_it(tmp_path: Path
             shut_down("stalls")
         assert ends["held"] > 0
         assert what == "line" or ends["not begun"] > 0
+
+    virtual(scenario())
+
+
+def test_nobody_plans_from_a_guess_when_the_board_does_not_settle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A motion broke off and taking over the board's positions failed: the next one is refused until a reset."""
+
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            machine = service.machine
+            await homed(service)
+            await operations.move_joints(machine, ME, START).wait()
+            job = operations.move_joints(machine, ME, NEXT)
+            await asyncio.sleep(1.0)
+
+            async def refuse(stream: MotionStream) -> None:
+                raise StoppedError("the board refused SetPositions")
+
+            with monkeypatch.context() as patch:
+                patch.setattr(MotionStream, "prepare", refuse)
+                await machine.abort(ME)
+                with pytest.raises(StoppedError):
+                    await job.wait()
+            assert machine.state is MachineState.ESTOP
+            assert service.status().cause.startswith("where a motion that broke off has left the arm is not known")
+            with pytest.raises(RefusedError):
+                operations.move_joints(machine, ME, NEXT)
+            await machine.reset(ME)
+            assert machine.arm_state.homed == (True,) * 5
+            await operations.move_joints(machine, ME, NEXT).wait()
+            assert machine.arm_state.joints_deg == pytest.approx(NEXT, abs=0.03)
 
     virtual(scenario())
