@@ -27,6 +27,8 @@ CONFIG = load_config()
 HOME_DEG: Joints = Arm.from_config(CONFIG).home_deg
 READY_DEG: Joints = (0.0, 45.0, -60.0, 45.0, 0.0)
 EXAMPLES = int(os.environ.get("RM501_PLANNER_EXAMPLES", "2000"))
+PARTS = 4
+"""The random programs run in parts, so that several cores share them."""
 NO_DEADLINE = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
@@ -87,14 +89,17 @@ def test_shared_programs() -> None:
     assert planned >= 1
 
 
-@settings(NO_DEADLINE, max_examples=EXAMPLES)
-@given(st.integers(0, 2**32 - 1))
-def test_random_programs(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
-    random = RandomProgram(seed, most_moves=3)
-    program = tmp_path_factory.getbasetemp() / "random.ngc"
+@pytest.mark.parametrize("part", range(PARTS))
+@settings(NO_DEADLINE, max_examples=EXAMPLES // PARTS)
+@given(number=st.integers(0, 2**32 - 1))
+def test_random_programs(tmp_path_factory: pytest.TempPathFactory, part: int, number: int) -> None:
+    seed = PARTS * number + part
+    sizes_mm = (1e-4, 0.01, 0.5, 3.0, 12.0) if number % 8 == 0 else (1e-4, 0.01, 0.5, 3.0)
+    random = RandomProgram(seed, most_moves=2 + (number % 4 == 0), sizes_mm=sizes_mm)
+    program = tmp_path_factory.getbasetemp() / f"random{part}.ngc"
     program.write_text(random.text)
     try:
-        found = agreed(program, random.start_deg, segments=seed % 16 == 0, most_places=40)
+        found = agreed(program, random.start_deg, segments=number % 16 == 0, most_places=30)
     except GcodeError:
         event("not a program")
         return
