@@ -185,7 +185,9 @@ class RandomProgram:
         self._add(self._random.choice(("M101", "M102")))
 
     def size(self) -> None:
-        self._size = self._random.choice(self._sizes)
+        # at F0.1 a millimetre takes ten minutes
+        self._size, self._feed = self._random.choice(self._sizes), "2000"
+        self._add("F2000")
         self.line()
 
     def inches(self) -> None:
