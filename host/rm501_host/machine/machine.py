@@ -398,7 +398,13 @@ class Machine:
             if (self.state is not MachineState.STOPPING or self._aborting) and job.error is not None:
                 # motion may be queued that nobody will complete, and only the board knows where it ended
                 try:
-                    await self.resync()
+                    try:
+                        await self.resync()
+                    except (Rm501Error, TimeoutError) as first:
+                        # what was under way to the board may have met it in between
+                        self.write_log("resync_again", error=str(first))
+                        await asyncio.sleep(_NOTICE_S)
+                        await self.resync()
                 except (Rm501Error, TimeoutError) as error:
                     # planning the next motion from a guess would lead the arm along another path than was checked
                     self._fault(causes.unsettled(str(error)), "rest unknown")
