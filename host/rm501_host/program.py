@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from rm501_host.config import Config
-from rm501_host.gcode.canon import Signal
+from rm501_host.gcode.canon import CanonCall, Signal
 from rm501_host.gcode.errors import GcodeError, GcodeUnsupportedError, Location
 from rm501_host.gcode.interpreter import Interpreter
-from rm501_host.gcode.program_log import LogNote
+from rm501_host.gcode.program_log import LogNote, require_log_name
 from rm501_host.gcode.resolve import ExternalAction, ResolveOptions, Resolver, resolve, source_of
 from rm501_host.gcode.settings import Settings
 from rm501_host.gcode.source import FileLines
@@ -88,7 +88,9 @@ def read_moves(
             settings = Settings(subroutine_path=(folder,)) if config is None else program_settings(config, program)
         interpreter = Interpreter(source, settings, on_warning=warn)
         options = ResolveOptions(
-            outputs={} if config is None else output_map(config), on_warning=lambda text, at: warn(f"{at}: {text}")
+            outputs={} if config is None else output_map(config),
+            on_warning=lambda text, at: warn(f"{at}: {text}"),
+            on_log=require_log_name,
         )
         notes: list[LogNote] = []
         if with_notes:
@@ -115,7 +117,12 @@ def read_moves(
 
 def noting(options: ResolveOptions, notes: list[LogNote]) -> ResolveOptions:
     """`options` that put log comments into `notes` and tell of long silence; for `with_notes_between`."""
-    return replace(options, on_log=lambda call: notes.append(LogNote(call, source_of(call.at))), tells_silence=True)
+
+    def note(call: CanonCall) -> None:
+        require_log_name(call)
+        notes.append(LogNote(call, source_of(call.at)))
+
+    return replace(options, on_log=note, tells_silence=True)
 
 
 def with_notes_between(moves: Iterable[Move | Action], notes: list[LogNote]) -> Iterator[Move | Action]:

@@ -49,12 +49,14 @@ def interpret_command(
     machine_units: str,
 ) -> None:
     """Print the canonical calls of PROGRAM, one a line; with --json one object a line."""
+    from rm501_host.cli.outputs import require_writable
     from rm501_host.gcode.canon import Units
     from rm501_host.gcode.interpreter import Interpreter
     from rm501_host.gcode.settings import Settings
     from rm501_host.gcode.source import FileLines
     from rm501_host.gcode.tools import load_tool_table
 
+    require_writable("--vars", variables)
     settings = Settings.as_peer(
         machine_units=Units.INCH if machine_units == "inch" else Units.MM,
         block_delete=block_delete,

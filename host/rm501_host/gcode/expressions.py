@@ -321,7 +321,10 @@ class ExpressionReader:
         function = FUNCTIONS.get(name)
         if function is None:
             self.position = start
-            raise self.fail(f"unknown word {name!r} where a number belongs", "See the list of functions in the manual.")
+            raise self.fail(
+                f"unknown word {name!r} where a number belongs",
+                f"Functions are {', '.join(sorted([*FUNCTIONS, 'atan', 'exists'])).upper()} (docs/gcode.md).",
+            )
         self._need_bracket(name)
         return _unary_node(function, self.value())
 

@@ -34,6 +34,24 @@ def test_the_listing(tmp_path: Path) -> None:
     assert "two 0.000000" in out.splitlines()
 
 
+def test_a_variable_file_that_cannot_be_written_is_told_before_anything_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "p.ngc"
+    path.write_text("G21 F100\nG1 X1\nM2\n")
+    (tmp_path / "file").write_text("")
+    code, out, _, problem = _run(str(path), "--vars", str(tmp_path / "file" / "x.var"))
+    assert (code, out) == (1, "")
+    assert "--vars" in str(problem) and "cannot be written" in str(problem)
+
+
+def test_an_unknown_function_is_answered_by_those_there_are(tmp_path: Path) -> None:
+    path = tmp_path / "p.ngc"
+    path.write_text("G0 X[foo[2]]\nM2\n")
+    problem = _run(str(path))[3]
+    assert "ATAN" in str(problem) and "docs/gcode.md" in str(problem)
+    known = str(problem).split("Functions are ")[1].split(" (")[0].split(", ")
+    assert all(f"{name} " in DOCS.read_text() or f"{name}[" in DOCS.read_text() for name in known)
+
+
 def test_json(tmp_path: Path) -> None:
     path = tmp_path / "p.ngc"
     path.write_text("N7 G0 X1\nG0\nM2\n")

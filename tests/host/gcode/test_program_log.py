@@ -37,6 +37,23 @@ def test_no_file_outside_the_folder(tmp_path: Path, name: str) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("name", ["pick.ngc", "tool.tbl", "rm501.var", "arm.toml", "log", ".txt"])
+def test_a_log_has_the_name_of_a_log(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(GcodeFileError, match="not the name of a log") as caught:
+        _run(f"G0 X1\n(LOGAPPEND, {name})\n(LOG, scribble)\nM2", tmp_path)
+    assert caught.value.line == 2
+    assert (tmp_path / name).read_text() == "precious"
+
+
+def test_a_log_is_a_plain_file(tmp_path: Path) -> None:
+    (tmp_path / "pick.ngc").write_text("precious")
+    (tmp_path / "a.txt").symlink_to("pick.ngc")
+    with pytest.raises(GcodeFileError, match="link or a device"):
+        _run("(LOGOPEN, a.txt)\nM2", tmp_path)
+    assert (tmp_path / "pick.ngc").read_text() == "precious"
+
+
 def test_a_log_that_cannot_be_written_names_its_line(tmp_path: Path) -> None:
     with pytest.raises(GcodeFileError, match="cannot write the log") as caught:
         _run("(LOGOPEN, a.txt)\nM2", tmp_path / "missing")
