@@ -38,10 +38,12 @@ def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str
     positions = [*map(to_q48, arm.motors_from_joints(start_deg).tolist()), 0]
     segments = list(Segmenter(config, positions, 0).segments(plan.pieces))
     horizon = stop_horizon(config, segments)
+    # rests in which play is still being taken up, after the law has ended
     tail_s = sum(item.tail_frames for item in segments) * config.board.base_period_us * len(config.board.table) * 1e-6
+    cycle_s = plan.duration_s + tail_s
     summary: dict[str, object] = {
         "program": str(program),
-        "cycle_s": plan.duration_s + tail_s,
+        "cycle_s": cycle_s,
         "motion_s": plan.motion_s,
         "pieces": len(plan.pieces),
         "segments": len(segments),
@@ -74,7 +76,7 @@ def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str
     if ctx.obj.json_output:
         click.echo(json.dumps(summary))
         return
-    click.echo(f"{program}: {plan.duration_s:.3f} s, of which {plan.motion_s:.3f} s motion")
+    click.echo(f"{program}: {cycle_s:.3f} s, of which {plan.motion_s:.3f} s motion")
     click.echo(f"  segments       {len(segments)}, at most {summary['max_step_error']:.3f} step from the law")
     click.echo(f"  stop horizon   {horizon.stop_s:.3f} s (hold {horizon.hold_s:.3f} s)")
     click.echo(f"  needed lead    {horizon.lead_s:.3f} s, {horizon.lead_segments} segments")

@@ -43,7 +43,12 @@ def check_command(ctx: click.Context, program: Path, start: str | None, max_bloc
     else:
         _print(program, report)
     if not report.ok:
-        raise RefusedError(f"{program}: {len(report.errors)} errors, the program would not run")
+        raise RefusedError(f"{program}: {_count(report)}, the program would not run")
+
+
+def _count(report: PreflightReport) -> str:
+    errors = len(report.errors)
+    return f"{errors} error{'' if errors == 1 else 's'}"
 
 
 def _as_json(report: PreflightReport) -> dict[str, object]:
@@ -74,7 +79,7 @@ def _print(program: Path, report: PreflightReport) -> None:
     for finding in report.findings:
         click.echo(str(finding))
     ending = "to its end" if report.complete else f"to line {report.checked_to_line} ({report.stopped_by})"
-    verdict = "nothing forbids the start" if report.ok else f"{len(report.errors)} errors"
+    verdict = "nothing forbids the start" if report.ok else _count(report)
     click.echo(f"{program}: checked {ending}, {report.moves} moves: {verdict}")
     if report.cycle_s is not None:
         click.echo(f"  time           {report.cycle_s:.2f} s, of which {report.motion_s:.2f} s motion")
