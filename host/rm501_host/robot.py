@@ -123,9 +123,9 @@ class Robot:
 
     # ------------------------------------------------------------------------------------------- everything else
 
-    def teach(self, point: str, note: str = "") -> dict[str, Any]:
-        """Record where the arm stands."""
-        return self._dict(self.call("teach.record", name=point, note=note))
+    def teach(self, point: str, note: str = "", *, replace: bool = False) -> dict[str, Any]:
+        """Record where the arm stands; with `replace` also under a name that is taken."""
+        return self._dict(self.call("teach.record", name=point, note=note, replace=replace))
 
     def hold(self) -> None:
         """To rest on the path, motors on. Works from another thread while a motion is waited for."""

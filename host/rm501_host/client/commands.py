@@ -152,7 +152,8 @@ def jog_command(
 
     result = talk(daemon, token_file, work)
     joints = "  ".join(f"{angle:.3f}" for angle in result["joints_deg"])
-    _print(context, result, f"at {joints} deg")
+    why = f", and no farther: {result['ended']}" if result.get("ended") else ""
+    _print(context, result, f"at {joints} deg{why}")
 
 
 async def _keep_jogging(client: DaemonClient, motion: int, seconds: float | None) -> None:
@@ -315,11 +316,14 @@ def _teach_list(context: CommandContext, daemon: str | None, token_file: Path | 
 @teach_command.command("record")
 @click.argument("name")
 @click.option("--note", default="")
+@click.option("--replace", is_flag=True, help="Also when there is a point of that name: it is recorded anew.")
 @daemon_option
 @click.pass_obj
-def _teach_record(context: CommandContext, name: str, note: str, daemon: str | None, token_file: Path | None) -> None:
+def _teach_record(
+    context: CommandContext, name: str, note: str, replace: bool, daemon: str | None, token_file: Path | None
+) -> None:
     """Record where the arm stands as NAME."""
-    point = talk(daemon, token_file, lambda client: client.call("teach.record", name=name, note=note))
+    point = talk(daemon, token_file, lambda client: client.call("teach.record", name=name, note=note, replace=replace))
     _print(context, point, _point_line(point))
 
 

@@ -12,6 +12,7 @@ from rm501_host.daemon.rpc import NoParams
 from rm501_host.daemon.service import Client
 from rm501_host.errors import RefusedError
 from rm501_host.machine import operations
+from rm501_host.teach import require_within_ranges
 
 
 def _point(name: str, number: int, q_deg: tuple[float, ...], note: str) -> dict[str, object]:
@@ -25,23 +26,26 @@ async def _teach_list(client: Client, params: NoParams) -> object:
 
 
 class TeachRecordParams(Params, frozen=True):
-    """Name and note of the point."""
+    """Name and note of the point; whether it may replace one of that name."""
 
     name: Name
     note: Annotated[str, Meta(max_length=200)] = ""
+    replace: bool = False
 
 
 @api.method("teach.record", TeachRecordParams, Access.FULL, result="point")
 async def _teach_record(client: Client, params: TeachRecordParams) -> object:
-    """Record where the arm stands, under a new or an old name."""
+    """Record where the arm stands under a new name, with `replace` also under one that is taken."""
     machine = client.machine
     machine.lease.require(client.owner)
     if missing := machine.arm_state.unhomed():
         raise RefusedError(f"not homed: {', '.join(missing)}; a point recorded now would mean nothing")
     if machine.job is not None:
         raise RefusedError("the arm moves; record when it is at rest")
-    point = client.service.teach.record(params.name, machine.arm_state.joints_deg, params.note)
-    machine.write_log("teach", name=point.name, number=point.number)
+    point = client.service.teach.record(
+        params.name, machine.arm_state.joints_deg, params.note, replace_old=params.replace
+    )
+    machine.write_log("teach", name=point.name, number=point.number, q_deg=point.q_deg)
     return _point(point.name, point.number, point.q_deg, point.note)
 
 
@@ -56,9 +60,11 @@ class TeachEditParams(Params, frozen=True):
 
 @api.method("teach.edit", TeachEditParams, Access.FULL, result="point")
 async def _teach_edit(client: Client, params: TeachEditParams) -> object:
-    """Change a point."""
+    """Change a point. Angles outside the joint ranges are refused."""
     client.machine.lease.require(client.owner)
     teach = client.service.teach
+    if params.q_deg is not None:
+        require_within_ranges(params.name, params.q_deg, client.service.config)
     point = teach.edit(params.name, params.q_deg, params.note)
     if params.new_name is not None and params.new_name != params.name:
         point = teach.rename(params.name, params.new_name)

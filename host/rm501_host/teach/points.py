@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -64,10 +65,25 @@ class TeachFile:
         known = ", ".join(point.name for point in self.points) or "none"
         raise TeachError(f"there is no teach point {key!r}; known points: {known}")
 
-    def record(self, name: str, q_deg: tuple[float, ...], note: str = "", number: int | None = None) -> TeachPoint:
-        """Record a point, or record an existing one anew (it keeps its number and, without a new one, its note)."""
+    def record(
+        self,
+        name: str,
+        q_deg: tuple[float, ...],
+        note: str = "",
+        number: int | None = None,
+        *,
+        replace_old: bool = False,
+    ) -> TeachPoint:
+        """Record a point: joint angles (5,), deg; with `replace_old` an existing one anew (it keeps its number and,
+        without a new one, its note). Raises TeachError when the name is taken and nobody said so.
+        """
         _check_name(name)
         old = self._points.get(name)
+        if old is not None and not replace_old:
+            raise TeachError(
+                f"a teach point {name!r} exists already; say --replace (replace: true) to record it anew, or choose "
+                "another name"
+            )
         if number is None:
             number = old.number if old is not None else self._free_number()
         point = TeachPoint(name, number, _joints(name, q_deg), note or (old.note if old is not None else ""))
@@ -127,14 +143,16 @@ class TeachFile:
         raise TeachError(f"all {MAX_POINTS} points are in use; delete one first")
 
 
-def points_outside_limits(points: tuple[TeachPoint, ...], config: Config) -> list[str]:
-    """Say which points lie outside the joint limits of `config` (they can be kept, not gone to)."""
-    found = []
-    for point in points:
-        for name, joint, angle_deg in zip(JOINT_NAMES, config.joints.ordered, point.q_deg, strict=True):
-            if not joint.min_deg <= angle_deg <= joint.max_deg:
-                found.append(f"{point.name}: {name} {angle_deg:.3f} deg is outside {joint.min_deg}..{joint.max_deg}")
-    return found
+def require_within_ranges(name: str, q_deg: Sequence[float], config: Config) -> None:
+    """Raise TeachError when joint angles (5,), deg, lie outside the joint ranges of `config`: point `name` could be
+    kept, but not gone to.
+    """
+    for joint_name, joint, angle_deg in zip(JOINT_NAMES, config.joints.ordered, q_deg, strict=True):
+        if not joint.min_deg <= angle_deg <= joint.max_deg:
+            raise TeachError(
+                f"point {name!r}: {joint_name} {angle_deg:.3f} deg is outside its range {joint.min_deg:g} to "
+                f"{joint.max_deg:g} deg, the arm could not go there; correct the angle"
+            )
 
 
 def _check_name(name: str) -> None:

@@ -36,6 +36,8 @@ def run(*arguments: str, socket: Path, json_output: bool = False) -> subprocess.
 def socket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("daemon")
     path = folder / "s.sock"
+    (folder / "state").mkdir()
+    (folder / "state" / "points.toml").write_text("[points.pick]\nnumber = 1\nq_deg = [0, 60, -60, 60, 0]\n")
     config = str(REPOSITORY / "configs" / "thesis.toml")
     daemon = subprocess.Popen(
         [*COMMAND, "--json", "--config", config, "--port", "emu://?preset=ideal", "serve", "--socket", str(path),
@@ -99,6 +101,7 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
         (("limits", "--velocity", "waist=99"), "joints.waist.max_velocity_deg_s 99 is not within 0.3 to 30"),
         (("teach", "go", "nowhere"), "no teach point"),
         (("teach", "record", "here"), "not homed"),
+        (("teach", "edit", "pick", "--joints", "0,900,0,0,0"), "shoulder 900.000 deg is outside its range"),
         (("send", str(REPOSITORY / "examples" / "pick_and_place.ngc")), "not homed"),
         (("jog", "knee", "5"), "no joint"),
         (("resume",), "nothing is held"),

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from rm501_host.config import load_config
 from rm501_host.storage import StorageError
-from rm501_host.teach import TeachError, TeachFile
+from rm501_host.teach import TeachError, TeachFile, require_within_ranges
 from rm501_host.teach import points as points_module
-from rm501_host.teach.points import points_outside_limits
 
 Q = (10.0, 20.0, -30.0, 40.0, -50.0)
 
@@ -36,7 +35,10 @@ def test_recording_again_keeps_number_and_note(tmp_path: Path) -> None:
     file = TeachFile(tmp_path / "points.toml")
     file.record("pick", Q, note="n")
     file.record("other", Q)
-    point = file.record("pick", (0.0,) * 5)
+    with pytest.raises(TeachError, match="--replace"):
+        file.record("pick", (0.0,) * 5)
+    assert file.get("pick").q_deg == Q
+    point = file.record("pick", (0.0,) * 5, replace_old=True)
     assert (point.number, point.note, point.q_deg) == (1, "n", (0.0,) * 5)
 
 
@@ -94,7 +96,7 @@ def test_every_point_is_read_back_as_it_was_written(tmp_path_factory: pytest.Tem
     assert read.q_deg == pytest.approx(written.q_deg, abs=1e-6)
 
 
-def test_points_outside_the_limits_are_named() -> None:
-    file = TeachFile(None)
-    file.record("far", (170.0, 0.0, 0.0, 0.0, 0.0))
-    assert points_outside_limits(file.points, load_config()) == ["far: waist 170.000 deg is outside -150.0..150.0"]
+def test_angles_outside_the_ranges_are_named() -> None:
+    with pytest.raises(TeachError, match=r"'far': waist 170\.000 deg is outside its range -150 to 150 deg"):
+        require_within_ranges("far", (170.0, 60.0, -60.0, 60.0, 0.0), load_config())
+    require_within_ranges("edge", (150.0, 60.0, -60.0, 60.0, 0.0), load_config())
