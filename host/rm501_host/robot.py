@@ -127,17 +127,29 @@ class Robot:
         """Record where the arm stands; with `replace` also under a name that is taken."""
         return self._dict(self.call("teach.record", name=point, note=note, replace=replace))
 
-    def hold(self) -> None:
-        """To rest on the path, motors on. Works from another thread while a motion is waited for."""
-        self.call("hold")
+    def hold(self) -> bool:
+        """To rest on the path, motors on; False when nothing moves. Works from another thread while a motion is waited
+        for.
+        """
+        return bool(self._dict(self.call("hold"))["held"])
 
     def resume(self) -> None:
         """Go on after a hold, M0 or M1."""
         self.call("resume")
 
-    def abort(self) -> None:
-        """End the motion on its path, motors on; the rest is dropped."""
-        self.call("abort")
+    def override(self, ratio: float) -> None:
+        """Feed override, 0 to 2; 1 is as programmed. Works from another thread while a motion is waited for."""
+        self.call("override", ratio=float(ratio))
+
+    def run_back(self, seconds: float) -> dict[str, Any]:
+        """Run a held program back along its path by path time in s, at most 30; it is held again there, and `resume`
+        goes forward. Returns how many `seconds` it will be, and what hand and outputs `repeats` on the way forward.
+        """
+        return self._dict(self.call("program.back", seconds=float(seconds)))
+
+    def abort(self) -> bool:
+        """End the motion on its path, motors on; the rest is dropped. False when there is none."""
+        return bool(self._dict(self.call("abort"))["ended"])
 
     def stop(self) -> None:
         """STOP: to rest on the path, motors off. Works from another thread while a motion is waited for."""

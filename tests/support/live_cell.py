@@ -268,7 +268,7 @@ async def _hold_and_go_on(cell: LiveCell, rng: random.Random, *, backs: bool) ->
     for _ in range(rng.randint(1, 2) if backs else 0):
         seconds = rng.choice((0.05, 0.5, 2.0, 5.0, 30.0)) * rng.uniform(0.5, 1.0)
         try:
-            text += f", back by {await programs.run_back(ME, seconds):.2f} s"
+            text += f", back by {(await programs.run_back(ME, seconds)).seconds:.2f} s"
         except RefusedError as refused:
             assert "has not moved" in str(refused) or "not held any more" in str(refused), refused
             continue

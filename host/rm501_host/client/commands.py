@@ -20,7 +20,7 @@ from rm501_host.client.client import DaemonClient
 from rm501_host.client.session import daemon_option, talk
 from rm501_host.client.show import status_lines
 from rm501_host.config.schema import JOINT_NAMES
-from rm501_host.errors import NoBoardError, Rm501Error
+from rm501_host.errors import NoBoardError, RefusedError, Rm501Error
 
 _PIECE = 16_000
 """Characters of a program sent at once: 64 KiB hold them however they are encoded."""
@@ -44,11 +44,12 @@ async def _moved(
         return await client.wait(started)
     except asyncio.CancelledError:
         try:
-            await client.call("hold")
+            is_held = (await client.call("hold"))["held"]
         except Rm501Error as error:
             click.echo(f"the arm could not be held: {error}", err=True)
         else:
-            click.echo("held on the path: resume goes on, abort ends the motion", err=True)
+            held = "held on the path: resume goes on, abort ends the motion"
+            click.echo(held if is_held else "nothing moves any more", err=True)
         raise
 
 
@@ -256,9 +257,34 @@ def _simple(name: str, method: str, done: str, help_text: str) -> click.Command:
     return command
 
 
-hold_command = _simple("hold", "hold", "holding", "Hold on the path, motors on; resume goes on.")
+def _of_a_motion(name: str, key: str, done: str, help_text: str) -> click.Command:
+    """A command that is refused, exit code 5, where nothing moves: the result's `key` says whether something did."""
+
+    @click.command(name, help=help_text)
+    @daemon_option
+    @click.pass_obj
+    def command(context: CommandContext, daemon: str | None, token_file: Path | None) -> None:
+        async def work(client: DaemonClient) -> Any:
+            result = await client.call(name)
+            if not result[key]:
+                raise RefusedError(nothing_to(name, await client.call("status")))
+            return result
+
+        _print(context, talk(daemon, token_file, work), done)
+
+    return command
+
+
+def nothing_to(name: str, status: dict[str, Any]) -> str:
+    """What to say when there is no motion to hold or abort."""
+    state = status["run_state"] if status["task_state"] == "ON" else status["task_state"]
+    cause = f" ({status['cause']})" if status["cause"] else ""
+    return f"nothing moves, so there is nothing to {name}; the machine is {state}{cause}"
+
+
+hold_command = _of_a_motion("hold", "held", "holding", "Hold on the path, motors on; resume goes on.")
 resume_command = _simple("resume", "resume", "goes on", "Go on after a hold, M0, M1 or a single block.")
-abort_command = _simple("abort", "abort", "ended, motors on", "End the motion on its path, motors on.")
+abort_command = _of_a_motion("abort", "ended", "ended, motors on", "End the motion on its path, motors on.")
 
 
 @click.command("stop")

@@ -30,7 +30,8 @@ def override_command(context: CommandContext, percent: float, daemon: str | None
 def back_command(context: CommandContext, seconds: float, daemon: str | None, token_file: Path | None) -> None:
     """Run a held program back along its path, as far as it came in SECONDS at 100 %; `resume` then goes forward."""
     result = talk(daemon, token_file, lambda client: client.call("program.back", seconds=seconds))
-    _print(context, result, f"going back by {result['seconds']:.2f} s; resume goes forward from there")
+    again = f"; that repeats: {', '.join(result['repeats'])}" if result["repeats"] else ""
+    _print(context, result, f"going back by {result['seconds']:.2f} s; resume goes forward from there{again}")
 
 
 def _print(context: CommandContext, result: Any, text: str) -> None:

@@ -16,7 +16,9 @@ from rm501_protocol.link_events import StopKind
 
 @api.method("stop", NoParams, Access.STOP)
 async def _stop(client: Client, params: NoParams) -> object:
-    """STOP, category 1: down to rest on the path, motors off. From anybody, at any time, in every state."""
+    """STOP, category 1: down to rest on the path, motors off. From anybody, at any time, in every state. An error says
+    that it was not delivered, or that the board has not acknowledged it.
+    """
     await client.machine.stop(client.owner)
     return None
 
@@ -30,7 +32,9 @@ async def _kill(client: Client, params: NoParams) -> object:
 
 @api.method("hold", NoParams, Access.STOP, result='{"held": bool}')
 async def _hold(client: Client, params: NoParams) -> object:
-    """Feed hold: down to rest on the path, motors on, everything kept. From anybody. A jog ends."""
+    """Feed hold: down to rest on the path, motors on, everything kept. From anybody. A jog ends. `held`: false when
+    nothing moves; an error when there is no board to tell it to.
+    """
     return {"held": await client.machine.hold(client.owner)}
 
 
@@ -78,11 +82,12 @@ async def _resume(client: Client, params: NoParams) -> object:
     return None
 
 
-@api.method("abort", NoParams, Access.FULL)
+@api.method("abort", NoParams, Access.FULL, result='{"ended": bool}')
 async def _abort(client: Client, params: NoParams) -> object:
-    """End the motion: down to rest on the path, motors on, position trusted, the rest dropped."""
-    await client.machine.abort(client.owner)
-    return None
+    """End the motion: down to rest on the path, motors on, position trusted, the rest dropped. `ended`: false when
+    there is none.
+    """
+    return {"ended": await client.machine.abort(client.owner)}
 
 
 class LimitsParams(Params, frozen=True):

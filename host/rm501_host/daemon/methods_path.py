@@ -34,10 +34,11 @@ class BackParams(Params, frozen=True):
     seconds: Annotated[float, Meta(gt=0, le=KEPT_S)]
 
 
-@api.method("program.back", BackParams, Access.FULL, result='{"seconds": float}')
+@api.method("program.back", BackParams, Access.FULL, result='{"seconds": float, "repeats": [string]}')
 async def _back(client: Client, params: BackParams) -> object:
     """Run a held program back along its path; the arm is held again there, and `resume` goes forward. The hand and the
-    outputs stay as they are on the way back; going forward repeats them. `seconds`: how far it will be.
+    outputs stay as they are on the way back; going forward repeats them. `seconds`: how far it will be; `repeats`: what
+    the hand and the outputs will do again, in words.
     """
-    seconds = await client.service.programs.run_back(client.owner, params.seconds)
-    return {"seconds": round(seconds, 6)}
+    way = await client.service.programs.run_back(client.owner, params.seconds)
+    return {"seconds": round(way.seconds, 6), "repeats": list(way.repeats)}

@@ -60,6 +60,7 @@ _NOTICE_S = 0.5
 """A job whose motion the board has ended notices within a status period; if not, it is ended."""
 HIGHEST_OVERRIDE = 2.0
 _SYSTEM = Owner(0, "the machine")
+_BY_ITSELF = "a board that hears nobody holds a moving arm on its path, motors on; use the emergency stop that is wired"
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +147,12 @@ class Machine:
         """The open session; raises NoBoardError with what to do when there is none."""
         session = self._port.session
         if session is None or session.failure is not None:
-            cause = self.cause or causes.CONNECTING
-            raise NoBoardError(f"{cause.text}; {cause.remedy}")
+            raise NoBoardError(self._no_board())
         return session
+
+    def _no_board(self) -> str:
+        cause = self.cause or causes.CONNECTING
+        return f"{cause.text}; {cause.remedy}"
 
     @property
     def connected(self) -> bool:
@@ -204,20 +208,35 @@ class Machine:
     async def stop(self, who: Owner = _SYSTEM, kind: StopKind = StopKind.STOP) -> None:
         """STOP (category 1) or KILL (category 0): ahead of everything, from anybody, in every state.
 
-        Without a connection this raises NoBoardError: the board then holds on its path by itself.
+        Raises NoBoardError when there is nobody to tell, LinkLostError when nobody has acknowledged it.
         """
         self.write_log("stop", who=who.name, category=kind.name, state=describe(self.state))
         self._continue.set()
         if self.state.task is TaskState.ON:
             self._apply(Event.STOP)
             self.cause = causes.OPERATOR_STOP
-        await self.session.stop(kind)
+        try:
+            await self.session.stop(kind)
+        except NoBoardError as error:
+            self.write_log("stop_not_delivered", category=kind.name, error=str(error))
+            raise NoBoardError(f"{kind.name} was not delivered: {error}; {_BY_ITSELF}") from error
+        except LinkLostError as error:
+            self.write_log("stop_not_acknowledged", category=kind.name, error=str(error))
+            raise LinkLostError(f"{kind.name} has not been acknowledged: {error}; {_BY_ITSELF}") from error
 
     async def hold(self, who: Owner = _SYSTEM) -> bool:
-        """Feed hold on the path; False when nothing moves. Anybody may."""
+        """Feed hold on the path; False when nothing moves. Anybody may.
+
+        Raises NoBoardError when there is no board to tell it to, LinkLostError when it is silent.
+        """
         self.write_log("hold", who=who.name)
+        session = self._port.session
+        if session is None or session.failure is not None:
+            raise NoBoardError(f"nobody can be told to hold: {self._no_board()}; {_BY_ITSELF}")
         if self.state is MachineState.RUNNING and self.job is not None and self.job.kind is not JobKind.JOG:
-            self.session.post(Hold())
+            session.post(Hold())
+            if session.link_silent:
+                raise LinkLostError(f"the hold is on its way, but the board has been silent for a second; {_BY_ITSELF}")
             return True
         if self.state is MachineState.RUNNING:
             await self.abort(who)
@@ -243,16 +262,17 @@ class Machine:
             ),
         )
 
-    async def abort(self, who: Owner) -> None:
-        """End the motion on its path, motors held, position trusted."""
+    async def abort(self, who: Owner) -> bool:
+        """End the motion on its path, motors held, position trusted; False when there is none."""
         self.lease.require_control(who)
         job = self.job
         if job is None:
-            return
+            return False
         self.write_log("abort", who=who.name, motion=job.id)
         self._abort_now(self.session)
         async with asyncio.timeout(REST_TIMEOUT_S):
             await job.done.wait()
+        return True
 
     async def set_override(self, ratio: float, who: Owner) -> None:
         """Feed override 0..2, along the path. Up to 1 at once; above it a program is planned anew for higher feeds, and
@@ -499,7 +519,7 @@ class Machine:
             self.stream = None
             self.arm_state.disconnected()
             lost_boot = "restart" in str(error) or "session" in str(error)
-            self._fault(causes.BOARD_RESET if lost_boot else causes.link_lost(str(error)), "link lost")
+            self._fault(causes.BOARD_RESET if lost_boot else causes.link_lost(error), "link lost")
         elif isinstance(error, NoBoardError):
             if self.cause is None:
                 self.cause = causes.CONNECTING

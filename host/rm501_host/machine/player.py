@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from rm501_host.machine.gcode_source import STEP_MARK, Surroundings
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
 from rm501_host.machine.states import MachineState
-from rm501_host.motion import LivePath, PieceRuns, Progress
+from rm501_host.motion import LivePath, Missed, PieceRuns, Progress
 from rm501_host.moves import InputWait, Message, Move, Pause, PauseKind, ProgramEnd, Source
 from rm501_host.planner import Piece, plan_joint_move
 from rm501_host.planner.pieces import Action
@@ -37,6 +38,16 @@ _INPUT_POLL_S = 0.01
 _IMMEDIATE, _RISE, _FALL, _HIGH = range(4)
 """M66 L0 to L3; L4 is low."""
 _USERS_HOLDS = (HoldCause.USER, HoldCause.BUTTON)
+
+
+@dataclass(frozen=True, slots=True)
+class WayBack:
+    """How far the arm will run back, in s of path time at 100 %, and what the hand and the outputs do again on the way
+    forward.
+    """
+
+    seconds: float
+    repeats: tuple[str, ...]
 
 
 class Player:
@@ -57,6 +68,7 @@ class Player:
         self._place: Place | None = None
         self._back: tuple[tuple[Piece, ...], Place] | None = None
         self._is_going_back = False
+        self._farthest_s = 0.0
 
     def show(self, lines: list[str]) -> None:
         """Another program is loaded: `lines`."""
@@ -68,10 +80,10 @@ class Player:
         machine = self._machine
         loop = asyncio.get_running_loop()
         run = PieceRuns(pieces)
-        live = self._live = LivePath(machine.config)
+        live = self._live = LivePath(machine.config, self._on_missed)
         live.scale = max(1.0, machine.override)
         self._back, self._is_going_back, self._place = None, False, None
-        self.played_s = 0.0
+        self.played_s = self._farthest_s = 0.0
         try:
             while True:
                 if await loop.run_in_executor(None, run.peek):
@@ -113,6 +125,16 @@ class Player:
             live.passed(place)
             self.played_s = live.time_s(place)
 
+    def _on_missed(self, missed: Missed) -> None:
+        """A faster law did not take over."""
+        machine = self._machine
+        machine.write_log("override_missed", wanted=missed.scale, why=missed.why, for_good=missed.for_good)
+        if missed.for_good:
+            machine.messages.append(
+                f"override {missed.scale:.0%} waits for the next stop of the path, until then feeds are as planned: "
+                f"{missed.why}; change the override to try again"
+            )
+
     def _show(self, source: Source) -> None:
         self.line = source.line
         known = 0 < source.line <= len(self.lines)
@@ -120,9 +142,9 @@ class Player:
 
     # --------------------------------------------------------------------------------------------- running back
 
-    async def run_back(self, who: Owner, seconds: float) -> float:
+    async def run_back(self, who: Owner, seconds: float) -> WayBack:
         """Go back along the path as far as the program came in `seconds` at 100 %, while the arm is held or a program
-        waits; gives the seconds that it will be. The arm is held again there; `resume` goes forward.
+        waits; gives how far that will be. The arm is held again there; `resume` goes forward.
 
         Raises RefusedError; nothing has changed then, and nothing moves.
         """
@@ -140,14 +162,16 @@ class Player:
         loop = asyncio.get_running_loop()
         back = await loop.run_in_executor(None, live.back, place, seconds)
         self._back = back
+        stopped_s = live.time_s(place)
+        self._farthest_s = max(self._farthest_s, stopped_s)
+        way = WayBack(stopped_s - live.time_s(back[1]), live.actions(back[1], self._farthest_s))
         if machine.waiting_for:
             machine.go_on()
         elif not await machine.stream.break_off():
             self._back = None
             raise RefusedError("the arm is not held any more; hold it, then run back")
-        took_s = live.time_s(place) - live.time_s(back[1])
-        machine.write_log("run_back", who=who.name, seconds=round(took_s, 3), line=self.line)
-        return took_s
+        machine.write_log("run_back", who=who.name, seconds=round(way.seconds, 3), line=self.line, repeats=way.repeats)
+        return way
 
     def _held_at(self, live: LivePath) -> Place:
         """Where on the path the arm is held; raises RefusedError where it is not, or not by a user."""
@@ -184,6 +208,8 @@ class Player:
             self._place = place
             self.played_s = live.time_s(place)
             live.go_on_from(place)
+            if repeats := live.actions(place, self._farthest_s):
+                machine.messages.append(f"going forward repeats: {', '.join(repeats)}; look at the hand, then resume")
             await machine.wait_for_operator(RUN_BACK)
 
     def _onto(self, first: Piece) -> tuple[Piece, ...]:

@@ -19,7 +19,7 @@ from rm501_host.machine.gcode_source import MdiSession, Surroundings
 from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
-from rm501_host.machine.player import Player
+from rm501_host.machine.player import Player, WayBack
 from rm501_host.machine.program_check import Checked, LoadedProgram
 from rm501_host.machine.program_files import ProgramFiles
 from rm501_host.planner import Planner
@@ -198,7 +198,7 @@ class Programs:
 
         return machine.start_job(JobKind.MDI, who, body)
 
-    async def run_back(self, who: Owner, seconds: float) -> float:
+    async def run_back(self, who: Owner, seconds: float) -> WayBack:
         """Run a held program back along its path; see `Player.run_back`."""
         return await self.player.run_back(who, seconds)
 

@@ -14,11 +14,12 @@ only looks at what is there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 from rm501_host.config import Config
 from rm501_host.errors import RefusedError
-from rm501_host.planner import Piece, plan_run_back
+from rm501_host.planner import EventKind, Piece, plan_run_back
 from rm501_host.planner.law import PathLaw
 from rm501_host.planner.respeed import Lead, Place, Respeed, Respeeded, place_at, plan_time
 from rm501_host.planner.run_back import KEPT_S
@@ -29,6 +30,16 @@ HIGHEST_SCALE = 2.0
 REMEMBERED_S = HIGHEST_SCALE * KEPT_S
 """Time at 100 %: as much as the arm can pass in `KEPT_S` at the highest override."""
 _ALMOST_ONE = 1.0 - 1e-6
+_SAME_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Missed:
+    """A faster law that did not take over: the scale it was for, why, and whether it is tried again."""
+
+    scale: float
+    why: str
+    for_good: bool
 
 
 class _Source:
@@ -118,8 +129,9 @@ class _Generation:
 class LivePath:
     """The path of one job. `begin` each run of it, then play the object itself; `scale` of the feeds, 1..2, at will."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, on_missed: Callable[[Missed], None] = lambda missed: None) -> None:
         self._config = config
+        self._on_missed = on_missed
         self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
         self._source = _Source()
         self._known = _Known(self._source)
@@ -127,6 +139,7 @@ class LivePath:
         self._past: list[_Generation] = []
         self._next: _Generation | None = None
         self._wish = self._goal = self._next_goal = 1.0
+        self._goal_before: float | None = None
 
     # --------------------------------------------------------------------------------------------- what is played
 
@@ -134,12 +147,12 @@ class LivePath:
         """The next run of the program, from rest to a mark or the end."""
         self._source.follow_with(pieces)
         self._now = self._generation(Place(self._source.count))
-        self._goal = self._wish
+        self._goal, self._goal_before = self._wish, None
 
     def go_on_from(self, place: Place) -> None:
         """Play again from a place at which the arm stands, to the end of the run."""
         self._now = self._generation(place)
-        self._goal = self._wish
+        self._goal, self._goal_before = self._wish, None
 
     def __iter__(self) -> Iterator[Piece]:
         """The pieces of the newest generation, planned as they are taken."""
@@ -160,6 +173,8 @@ class LivePath:
 
     @scale.setter
     def scale(self, scale: float) -> None:
+        if scale != self._wish and self._goal_before is not None:
+            self._goal, self._goal_before = self._goal_before, None
         self._wish = scale
         self._goal = min(self._goal, scale)
 
@@ -205,13 +220,14 @@ class LivePath:
         assert self._next is not None
         self._past.append(self._now)
         self._now, self._next = self._next, None
-        self._goal = min(self._next_goal, self._wish)
+        self._goal, self._goal_before = min(self._next_goal, self._wish), None
 
-    def discard(self, *, for_good: bool) -> None:
-        """It has not; `for_good`: the rest of the path keeps what it was planned for, up to the next change."""
+    def discard(self, why: str, *, for_good: bool) -> None:
+        """It has not; `for_good`: the path keeps what it was planned for, up to its next rest or the next change."""
         self._next = None
         if for_good:
-            self._goal = self._wish
+            self._goal_before, self._goal = self._goal, self._wish
+        self._on_missed(Missed(self._wish, why, for_good))
 
     # ------------------------------------------------------------------------------------------- places on the path
 
@@ -261,6 +277,21 @@ class LivePath:
                     return pieces, Place(number, 0.0, goal_s - piece.start_s)
                 return pieces, Place(number, way_at(law, min(goal_s - piece.start_s, law.duration_s)))
         raise AssertionError("the past ends before now")
+
+    def actions(self, first: Place, last_s: float) -> tuple[str, ...]:
+        """What the hand and the outputs do from a place to a plan time, in words with their lines; waits, the hand's
+        too, are begun anew.
+        """
+        first_s = self.time_s(replace(first, waited_s=0.0))
+        found = []
+        for _, piece in self._source.known():
+            for event in piece.events:
+                if first_s - _SAME_S <= piece.start_s + event.offset_s < last_s - _SAME_S:
+                    what = f"outputs {event.mask:#x} to {event.levels:#x}"
+                    if event.kind is EventKind.HAND:
+                        what = "hand opens" if event.value > 0 else "hand closes"
+                    found.append(what if event.source is None else f"{what} (line {event.source.line})")
+        return tuple(found)
 
     # --------------------------------------------------------------------------------------------------- inside
 

@@ -44,6 +44,7 @@ _TOO_LATE = (
     "this computer or the line stood still for more than a second before the motion began; nobody expects it any more, "
     "so nothing moved: look at the arm, then start it again"
 )
+_TOO_SLOW = "the arm had passed the place before the new plan or its cut was there; this computer or the line is busy"
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,9 +219,9 @@ class Play:
         loop = asyncio.get_running_loop()
         try:
             takeover = await loop.run_in_executor(None, prepared, self._config, live, at, before)
-        except PlanError:
+        except PlanError as error:
             # what is being played is legal, and goes on
-            live.discard(for_good=True)
+            live.discard(str(error), for_good=True)
             return
         earliest = earliest_cut(self._config, [*self._mirror.sent, *self._waiting], self._session.motion_frames.value)
         if self._reports.ended is not None or earliest is None or at.start_frame < earliest:
@@ -261,7 +262,7 @@ class Play:
     def _missed(self, live: Respeedable) -> None:
         """Too late for that place: the old law goes on, the next attempt leaves more time."""
         self._attempts += 1
-        live.discard(for_good=self._attempts >= MOST_ATTEMPTS)
+        live.discard(_TOO_SLOW, for_good=self._attempts >= MOST_ATTEMPTS)
         self._attempts %= MOST_ATTEMPTS
 
     # ------------------------------------------------------------------------------------------ early ends

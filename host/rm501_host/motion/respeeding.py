@@ -63,8 +63,8 @@ class Respeedable(Protocol):
         """The other law has taken over."""
         ...
 
-    def discard(self, *, for_good: bool) -> None:
-        """It has not; `for_good`: it will not be tried again before the wish changes."""
+    def discard(self, why: str, *, for_good: bool) -> None:
+        """It has not, and why; `for_good`: it will not be tried again before the wish changes."""
         ...
 
 

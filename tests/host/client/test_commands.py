@@ -76,7 +76,7 @@ def test_joints_of_a_point_are_five(tmp_path: Path) -> None:
     assert "five numbers" in result.stderr
 
 
-@pytest.mark.parametrize("command", ["status", "home", "stop", "hold", "monitor", "verify", "doctor"])
+@pytest.mark.parametrize("command", ["status", "home", "stop", "hold", "abort", "monitor", "verify", "doctor"])
 def test_without_a_daemon_every_command_says_what_to_do(tmp_path: Path, command: str) -> None:
     result = run(command, socket=tmp_path / "none.sock")
     assert result.returncode == 4
@@ -88,6 +88,10 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
     assert status.returncode == 0 and "ESTOP" in status.stdout and "then reset" in status.stdout
     early = run("home", socket=socket)
     assert early.returncode == 5 and "then reset" in early.stderr
+    for command in ("hold", "abort"):
+        still = run(command, socket=socket)
+        assert still.returncode == 5 and "the machine is ESTOP (the daemon has started)" in still.stderr, still
+        assert not still.stdout
     assert run("reset", socket=socket).returncode == 0
     jogged = run("jog", "waist", "6", "--distance", "2", socket=socket, json_output=True)
     assert jogged.returncode == 0
@@ -105,10 +109,20 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
         (("send", str(REPOSITORY / "examples" / "pick_and_place.ngc")), "not homed"),
         (("jog", "knee", "5"), "no joint"),
         (("resume",), "nothing is held"),
+        (("hold",), "nothing moves, so there is nothing to hold; the machine is IDLE"),
+        (("abort",), "nothing moves, so there is nothing to abort; the machine is IDLE"),
+        (("back", "5"), "no program is under way"),
         (("home", "knee"), "no joint"),
     ):
         refused = run(*arguments, socket=socket)
         assert refused.returncode == 5 and why in refused.stderr, (arguments, refused)
+    faster = run("override", "150", socket=socket)
+    assert faster.returncode == 0 and faster.stdout == "override 150 %\n"
+    assert json.loads(run("status", socket=socket, json_output=True).stdout)["override"] == 1.5
+    as_json = run("override", "100", socket=socket, json_output=True)
+    assert json.loads(as_json.stdout) == {"override": 1.0}
+    for arguments in (("override", "201"), ("override", "-1"), ("override", "nan"), ("back", "0"), ("back", "31")):
+        assert run(*arguments, socket=socket).returncode in (2, 5), arguments
     lowered = run("limits", "--velocity", "waist=10", "--tool", "80", socket=socket)
     assert lowered.returncode == 0 and "waist           10       30" in lowered.stdout
     assert "limits   lowered: 10 " in run("status", socket=socket).stdout

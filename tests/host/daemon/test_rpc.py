@@ -115,6 +115,55 @@ def test_access_levels_hold_for_every_method(tmp_path: Path) -> None:
     run_virtual(scenario())
 
 
+@pytest.mark.parametrize(("method", "key"), [("hold", "held"), ("abort", "ended")])
+def test_nothing_to_hold_or_abort_is_told(tmp_path: Path, method: str, key: str) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            client, dispatcher = client_of(service)
+            for state in (MachineState.ESTOP, MachineState.IDLE):
+                assert service.machine.state is state
+                assert (await ask(dispatcher, client, request(method)))["result"] == {key: False}
+                await ask(dispatcher, client, request("reset"))
+
+    run_virtual(scenario())
+
+
+def test_override_and_running_back_by_rpc(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            (tmp_path / "programs").mkdir(exist_ok=True)
+            (tmp_path / "programs" / "a.ngc").write_text("G21 G90 G94\nM102\nG1 X210 Y60 Z-150 F1500\nM2\n")
+            client, dispatcher = client_of(service)
+
+            async def call(method: str, **params: object) -> Any:
+                answer = await ask(dispatcher, client, request(method, **params))
+                return answer.get("result", answer.get("error"))
+
+            await call("reset")
+            await call("motion.wait", **await call("home"))
+            await call("motion.wait", **await call("mdi", block="G0 X210 Y0 Z-150 A0 B0 C0"))
+            assert "no program is under way" in (await call("program.back", seconds=1))["message"]
+            for seconds in (0, -1, 30.5, "1", None):
+                assert (await call("program.back", seconds=seconds))["code"] == Code.INVALID_PARAMS
+            run = await call("program.run", name="a.ngc")
+            await asyncio.sleep(3.0)
+            assert await call("override", ratio=1.5) is None
+            assert (await call("status"))["override"] == 1.5
+            assert await call("hold") == {"held": True}
+            while (await call("status"))["run_state"] != "HELD":  # noqa: ASYNC110  # polled from outside
+                await asyncio.sleep(0.1)
+            way = await call("program.back", seconds=30)
+            assert way["repeats"] == ["hand closes (line 2)"]
+            assert 1.5 < way["seconds"] < 3.5
+            while (await call("status"))["waiting"] != "run back":  # noqa: ASYNC110  # polled from outside
+                await asyncio.sleep(0.1)
+            assert "going forward repeats: hand closes (line 2)" in (await call("status"))["messages"][-1]
+            assert await call("resume") is None
+            await call("motion.wait", **run)
+
+    run_virtual(scenario())
+
+
 def test_a_flood_is_limited_but_never_a_stop(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with running_service(tmp_path) as service:
