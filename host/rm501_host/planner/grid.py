@@ -207,29 +207,28 @@ class GridBuilder:
 
     def _bends(self, rows: _Rows, ia: Indices, im: Indices, ib: Indices, length: Array) -> tuple[Array, Array, Array]:
         """Bend of each limit (n, rows), relative bend of the rates (n,), squared-speed caps at both ends (2, n)."""
-        speed_a, speed_m, speed_b = rows.speed[ia], rows.speed[im], rows.speed[ib]
+        speed_a, speed_m, speed_b = _columns(rows.speed, ia, im, ib)
         most = np.maximum(np.maximum(speed_a, speed_b), 1e-300)
         rate_bend = 1.3 * np.abs(speed_m - 0.5 * (speed_a + speed_b)) + 0.45 * (speed_b - speed_a) ** 2 / most
-        cap_a = 1.0 / np.maximum((speed_a + rate_bend).max(axis=1) ** 2, 1.0 / _X_MOST)
-        cap_b = 1.0 / np.maximum((speed_b + rate_bend).max(axis=1) ** 2, 1.0 / _X_MOST)
-        a0, am, a1 = rows.a[ia], rows.a[im], rows.a[ib]
-        b0, bm, b1 = rows.b[ia], rows.b[im], rows.b[ib]
-        x_plain = 1.0 / np.maximum(speed_m.max(axis=1) ** 2, 1.0 / _X_MOST)
+        cap_a = 1.0 / np.maximum((speed_a + rate_bend).max(axis=0) ** 2, 1.0 / _X_MOST)
+        cap_b = 1.0 / np.maximum((speed_b + rate_bend).max(axis=0) ** 2, 1.0 / _X_MOST)
+        a0, am, a1 = _columns(rows.a, ia, im, ib)
+        b0, bm, b1 = _columns(rows.b, ia, im, ib)
+        x_plain = 1.0 / np.maximum(speed_m.max(axis=0) ** 2, 1.0 / _X_MOST)
         x_plain = np.maximum(x_plain, np.maximum(cap_a, cap_b))
-        limit = np.broadcast_to(self._bounds, am.shape)
+        bounds = self._bounds[:, None]
+        limit = np.broadcast_to(bounds, am.shape)
         x = np.minimum(x_plain, mvc(am, bm, limit, x_plain))
         x = np.maximum(x, np.minimum(cap_a, mvc(a0, b0, limit, cap_a)))
         x = np.maximum(x, np.minimum(cap_b, mvc(a1, b1, limit, cap_b)))
         u = np.zeros(len(x))
         for a, b in ((a0, b0), (am, bm), (a1, b1)):
-            u = np.maximum(u, ((self._bounds + np.abs(b) * x[:, None]) / np.maximum(np.abs(a), 1e-300)).min(axis=1))
+            u = np.maximum(u, ((bounds + np.abs(b) * x) / np.maximum(np.abs(a), 1e-300)).min(axis=0))
         bend = (
-            np.abs(am - 0.5 * (a0 + a1)) * u[:, None]
-            + np.abs(bm - 0.5 * (b0 + b1)) * x[:, None]
-            + np.abs(b1 - b0) * (0.5 * u * length)[:, None]
+            np.abs(am - 0.5 * (a0 + a1)) * u + np.abs(bm - 0.5 * (b0 + b1)) * x + np.abs(b1 - b0) * (0.5 * u * length)
         )
-        speed_bend = rate_bend.max(axis=1) * np.sqrt(x)
-        return bend, speed_bend, np.stack((cap_a, cap_b))
+        speed_bend = rate_bend.max(axis=0) * np.sqrt(x)
+        return bend.T, speed_bend, np.stack((cap_a, cap_b))
 
     def _check_speeds(
         self, table: ElementTable, rows: _Rows, element: Indices, start: Array, ia: Indices, ib: Indices
@@ -287,3 +286,10 @@ class GridBuilder:
             amount=worst,
             remedy="move the path, go round by a neutral pose, or use a joint move (G0)",
         )
+
+
+def _columns(rows: Array, *chosen: Indices) -> tuple[Array, ...]:
+    """The chosen rows as columns side by side, (width, n) each: sums and extremes over few limits of many points are
+    several times as fast that way.
+    """
+    return tuple(np.ascontiguousarray(rows[which].T) for which in chosen)

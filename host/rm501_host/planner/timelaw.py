@@ -29,6 +29,7 @@ limit's left side can rise between the two ends.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _TINY = 1e-9
+_AT_ONCE = 8192
+"""Pairs of rows times intervals that are worked out in one array: beyond, it leaves the cache."""
 _DEAD_END = 0.01
 """An interval whose largest x leads to less than this share of its largest y is a dead end (tiny blends have some)."""
 
@@ -120,40 +123,54 @@ def without_dead_ends(lines: IntervalLines) -> IntervalLines:
 
 def _extents(table: IntervalTable, size_p: Array, size_q: Array) -> tuple[Array, Array]:
     """Largest x and largest y of each interval's set, (n,) each, by eliminating the other from all pairs of strips."""
-    p, q, c = table.p, table.q, table.c
+    p, q, c, size_p, size_q = (np.ascontiguousarray(rows.T) for rows in (table.p, table.q, table.c, size_p, size_q))
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        rise_x = np.maximum(-np.sign(p) * q * table.y_cap[:, None], 0.0)
-        rise_y = np.maximum(-np.sign(q) * p * table.x_cap[:, None], 0.0)
-        alone_x = np.where(size_p > 0.0, (c + rise_x) / size_p, np.inf).min(axis=1)
-        alone_y = np.where(size_q > 0.0, (c + rise_y) / size_q, np.inf).min(axis=1)
-        top_x, top_y = np.minimum(table.x_cap, alone_x), np.minimum(table.y_cap, alone_y)
-        rows = p.shape[1]
-        for i in range(rows - 1):
-            j = slice(i + 1, rows)
-            determinant = np.abs(p[:, i : i + 1] * q[:, j] - p[:, j] * q[:, i : i + 1])
-            for size, top in ((size_q, top_x), (size_p, top_y)):
-                sums = c[:, i : i + 1] * size[:, j] + c[:, j] * size[:, i : i + 1]
-                bounding = determinant * top[:, None] > sums
-                bounds = np.where(bounding, sums / np.where(bounding, determinant, 1.0), np.inf)
-                np.minimum(top, bounds.min(axis=1), out=top)
-    return top_x, top_y
+        rise_x = np.maximum(-np.sign(p) * q * table.y_cap, 0.0)
+        rise_y = np.maximum(-np.sign(q) * p * table.x_cap, 0.0)
+        alone_x = np.where(size_p > 0.0, (c + rise_x) / size_p, np.inf).min(axis=0)
+        alone_y = np.where(size_q > 0.0, (c + rise_y) / size_q, np.inf).min(axis=0)
+    paired_x, paired_y = _eliminated(p, q, c, size_q, size_p)
+    return np.minimum(np.minimum(table.x_cap, alone_x), paired_x), np.minimum(
+        np.minimum(table.y_cap, alone_y), paired_y
+    )
 
 
 def mvc(a: Array, b: Array, limit: Array, x_cap: Array) -> Array:
-    """Largest squared speed at single points where some u satisfies |a u + b x| <= limit; (n, rows) -> (n,)."""
-    result = x_cap.copy()
-    rows = a.shape[1]
+    """Largest squared speed at single points where some u satisfies |a u + b x| <= limit; (rows, n) -> (n,)."""
     size_a = np.abs(a)
-    for i in range(rows - 1):
-        j = slice(i + 1, rows)
-        determinant = np.abs(a[:, i : i + 1] * b[:, j] - a[:, j] * b[:, i : i + 1])
-        sums = limit[:, i : i + 1] * size_a[:, j] + limit[:, j] * size_a[:, i : i + 1]
-        bounding = determinant * x_cap[:, None] > sums
-        result = np.minimum(result, np.where(bounding, sums / np.where(bounding, determinant, 1.0), np.inf).min(axis=1))
-    no_u = size_a == 0.0
-    alone = np.where(no_u & (b != 0.0), limit / np.where(b != 0.0, np.abs(b), 1.0), np.inf)
-    best: Array = np.minimum(result, alone.min(axis=1))
+    (paired,) = _eliminated(a, b, limit, size_a)
+    no_u = (size_a == 0.0) & (b != 0.0)
+    best: Array = np.minimum(x_cap, paired)
+    if no_u.any():
+        np.minimum(best, np.where(no_u, limit / np.where(no_u, np.abs(b), 1.0), np.inf).min(axis=0), out=best)
     return best
+
+
+def _eliminated(p: Array, q: Array, c: Array, *weights: Array) -> list[Array]:
+    """The least of (c_i w_j + c_j w_i) / |p_i q_j - p_j q_i| over all pairs of rows, for each of the weights w.
+
+    All (rows, n) -> (n,): the columns lie side by side in memory, which is what makes this fast.
+    """
+    rows, count = p.shape
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        if rows * (rows - 1) // 2 * count <= _AT_ONCE:
+            i, j = _pairs(rows)
+            determinant = np.abs(p[i] * q[j] - p[j] * q[i])
+            return [np.fmin.reduce((c[i] * w[j] + c[j] * w[i]) / determinant, axis=0, initial=np.inf) for w in weights]
+        least = [np.full(count, np.inf) for _ in weights]
+        for first in range(rows - 1):
+            rest = slice(first + 1, rows)
+            determinant = np.abs(p[first] * q[rest] - p[rest] * q[first])
+            for best, w in zip(least, weights, strict=True):
+                bounds = (c[first] * w[rest] + c[rest] * w[first]) / determinant
+                np.fmin(best, np.fmin.reduce(bounds, axis=0, initial=np.inf), out=best)
+        return least
+
+
+@cache
+def _pairs(rows: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    first, second = np.triu_indices(rows, 1)
+    return first, second
 
 
 def backward_pass(lines: IntervalLines, last_x: float, first: int = 0, stop: int | None = None) -> Array:
