@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rm501_host.session.board_session import LinkLostError
 from rm501_protocol.faults import FAULT_TEXTS, FaultCode
 
 
@@ -27,8 +28,9 @@ BOARD_RESET = Cause(
 )
 
 
-def link_lost(reason: str) -> Cause:
+def link_lost(error: Exception) -> Cause:
     """The connection is gone; the arm holds on its path by itself."""
+    reason = error.reason if isinstance(error, LinkLostError) else str(error)
     return Cause(
         f"the connection to the board is lost: {reason}",
         "the arm holds on its path; restore the connection (it is tried again), look at the arm, then reset",

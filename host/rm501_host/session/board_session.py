@@ -69,8 +69,12 @@ _POLL_S = 0.01
 
 class LinkLostError(StoppedError):
     """The board cannot be reached any more; what it does then is its own rule: it holds on the path and waits for a
-    user.
+    user. `reason`: why alone, without what the arm does and what to do.
     """
+
+    def __init__(self, text: str, reason: str = "") -> None:
+        super().__init__(text)
+        self.reason = reason or text
 
 
 class BoardSession:
@@ -302,8 +306,9 @@ class BoardSession:
             reason = str(exc) if exc is not None else "the other end closed it"
             self._fail(
                 LinkLostError(
-                    f"the connection to the board is gone: {reason}; a moving arm holds on its path by itself: "
-                    "restore the connection, then look at the status before you resume or home again"
+                    f"the connection to the board is lost: {reason}; a moving arm holds on its path by itself: "
+                    "restore the connection, then look at the status before you resume or home again",
+                    reason,
                 )
             )
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rm501_host.config import load_config
 from rm501_host.config.board import board_config_from
 from rm501_host.errors import NoBoardError, RefusedError, StoppedError
+from rm501_host.machine.causes import link_lost
 from rm501_host.session import BoardRefusedError, BoardSession, FrameCounter, LinkLostError, open_session
 from rm501_host.transports import open_transport
 from rm501_host.virtual_time import run_virtual
@@ -129,8 +130,11 @@ def test_a_restarted_board_ends_the_session_for_everyone_who_waits() -> None:
 
 def test_a_pulled_plug_ends_the_session_and_says_what_the_arm_does() -> None:
     async def body(session: BoardSession) -> None:
-        with pytest.raises(LinkLostError, match="holds on its path by itself"):
+        with pytest.raises(LinkLostError, match="holds on its path by itself") as caught:
             await session.wait_for(lambda notice: None)
+        shown = link_lost(caught.value)
+        assert f"{shown.text}; {shown.remedy}".count("holds on its path") == 1
+        assert f"{shown.text}; {shown.remedy}".count("connection to the board") == 1
 
     with_session(body, "emu://?fault=unplug@1s")
 
