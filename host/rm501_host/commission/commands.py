@@ -10,6 +10,8 @@ import click
 import msgspec
 
 from rm501_host.cli.context import CommandContext
+from rm501_host.cli.outputs import require_writable
+from rm501_host.client.client import DaemonClient
 from rm501_host.client.session import daemon_option, talk
 from rm501_host.commission.diagnosis import diagnose, judge
 from rm501_host.commission.lead import STEP_DEG, lead
@@ -56,7 +58,7 @@ def doctor_command(context: CommandContext, seconds: float, daemon: str | None, 
         click.echo(json.dumps({**measured, "findings": [list(finding) for finding in findings]}))
     else:
         for name, value in measured.items():
-            click.echo(f"{name:22} {value:10.3f}")
+            click.echo(f"{name:22} {'-' if value is None else f'{value:.3f}':>10}")
         for good, text in findings:
             click.echo(f"{'ok      ' if good else 'NOT FIT '} {text}")
     if not all(good for good, _ in findings):
@@ -74,12 +76,17 @@ def commission_command(
     """Set up a real arm, step by step: switches, directions, wrist, configuration."""
     if out.exists() and not force:
         raise click.BadParameter(f"{out} exists; give --force to replace it", param_hint="--out")
-    click.echo(
-        "The emergency stop within reach, nobody in the arm's way. "
-        f"Every step moves one joint, slowly, by {STEP_DEG:.0f} deg and back."
-    )
+    require_writable("--out", out)
     config = context.config
-    changes = talk(daemon, token_file, lambda client: lead(client, config, Console()))
+
+    async def work(client: DaemonClient) -> dict[str, Any]:
+        click.echo(
+            "The emergency stop within reach, nobody in the arm's way. "
+            f"Every step moves one joint, slowly, by {STEP_DEG:.0f} deg and back."
+        )
+        return await lead(client, config, Console())
+
+    changes = talk(daemon, token_file, work)
     base = without_none(msgspec.to_builtins(config))
     data = laid_over(base, changes)
     text = toml_text(data, {}, f"Commissioned for {config.machine.name}.")
@@ -97,6 +104,7 @@ def commission_command(
 
 
 def without_none(table: dict[str, Any]) -> dict[str, Any]:
+    """Nested tables without the keys that have no value: TOML has no null."""
     return {
         key: without_none(value) if isinstance(value, dict) else value
         for key, value in table.items()
@@ -105,6 +113,7 @@ def without_none(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def laid_over(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Nested tables with those of `changes` in place of their own values; neither is altered."""
     merged = dict(base)
     for key, value in changes.items():
         old = merged.get(key)

@@ -10,8 +10,10 @@ _TICK_S = 0.005
 _GOOD_ROUND_TRIP_MS = 5.0
 
 
-async def diagnose(client: DaemonClient, seconds: float) -> dict[str, float]:
-    """Measure for `seconds`: longest stall here (s), round trips (ms), least queue lead while moving (s; -1: none)."""
+async def diagnose(client: DaemonClient, seconds: float) -> dict[str, float | None]:
+    """Measure for `seconds`: longest stall here (s), round trips (ms), least queue lead while the arm moves (s; None:
+    it did not).
+    """
     loop = asyncio.get_running_loop()
     await client.subscribe(20, ("run_state", "queue_lead_s", "rate"))
     stall_s = 0.0
@@ -32,13 +34,14 @@ async def diagnose(client: DaemonClient, seconds: float) -> dict[str, float]:
         "longest_stall_s": stall_s,
         "round_trip_p50_ms": trips_ms[len(trips_ms) // 2],
         "round_trip_p99_ms": trips_ms[int(0.99 * (len(trips_ms) - 1))],
-        "least_queue_lead_s": min(leads_s) if leads_s else -1.0,
+        "least_queue_lead_s": min(leads_s, default=None),
     }
 
 
-def judge(measured: dict[str, float], stall_budget_s: float) -> list[tuple[bool, str]]:
-    """What the numbers mean: (fit, sentence) each."""
+def judge(measured: dict[str, float | None], stall_budget_s: float) -> list[tuple[bool, str]]:
+    """What the numbers of `diagnose` mean: (fit, sentence) each. `stall_budget_s`: so long the queue has to last."""
     stall, trip, lead = measured["longest_stall_s"], measured["round_trip_p99_ms"], measured["least_queue_lead_s"]
+    assert stall is not None and trip is not None
     found = [
         (
             stall < stall_budget_s / 2,
@@ -49,10 +52,8 @@ def judge(measured: dict[str, float], stall_budget_s: float) -> list[tuple[bool,
             f"99 % of round trips within {trip:.2f} ms; {_GOOD_ROUND_TRIP_MS:.0f} ms are fit",
         ),
     ]
-    if lead >= 0.0:
-        found.append(
-            (lead >= 0.0 and lead > stall, f"least queue lead in motion {lead:.2f} s; it has to cover a stall")
-        )
+    if lead is not None:
+        found.append((lead > stall, f"least queue lead in motion {lead:.2f} s; it has to cover a stall"))
     else:
         found.append((True, "nothing moved meanwhile: run a program and repeat, to see the queue lead"))
     return found

@@ -76,6 +76,12 @@ def test_joints_of_a_point_are_five(tmp_path: Path) -> None:
     assert "five numbers" in result.stderr
 
 
+def test_commission_says_nothing_to_do_before_it_has_a_daemon(tmp_path: Path) -> None:
+    result = run("commission", "--out", str(tmp_path / "my.toml"), socket=tmp_path / "none.sock")
+    assert result.returncode == 4 and "rm501-host serve" in result.stderr
+    assert not result.stdout and not (tmp_path / "my.toml").exists()
+
+
 @pytest.mark.parametrize("command", ["status", "home", "stop", "hold", "abort", "monitor", "verify", "doctor"])
 def test_without_a_daemon_every_command_says_what_to_do(tmp_path: Path, command: str) -> None:
     result = run(command, socket=tmp_path / "none.sock")

@@ -73,9 +73,9 @@ def test_verify_finds_lost_steps_and_only_those(tmp_path: Path) -> None:
         (0.3, 1.0, 3.0, False),
         (0.01, 9.0, 3.0, False),
         (0.2, 1.0, 0.1, False),
-        (0.01, 1.0, -1.0, True),
+        (0.01, 1.0, None, True),
     ],
 )
-def test_the_doctor(stall: float, trip: float, lead: float, fit: bool) -> None:
+def test_the_doctor(stall: float, trip: float, lead: float | None, fit: bool) -> None:
     measured = {"longest_stall_s": stall, "round_trip_p99_ms": trip, "least_queue_lead_s": lead}
     assert all(good for good, _ in judge(measured, stall_budget_s=0.5)) is fit
