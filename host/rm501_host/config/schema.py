@@ -243,7 +243,7 @@ class GcodeSection(_Section, frozen=True):
 
 
 class PreflightSection(_Section, frozen=True):
-    """`[preflight]`: how far a program is checked before it starts; from there the check goes on ahead of the motion."""
+    """`[preflight]`: how far a program is checked before it starts; from there it is checked ahead of the motion."""
 
     max_blocks: PositiveInt
 
