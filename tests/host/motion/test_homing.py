@@ -70,7 +70,7 @@ def test_a_switch_that_is_stuck_fails_naming_joint_and_switch(joint: str, kind: 
 
 def test_a_switch_that_closes_on_the_way_home_stops_there() -> None:
     # the waist starts 0.2 deg past its switch, it is on its way home from about 3 to 6 s after power-up
-    with pytest.raises(HomingError, match="waist: the switch closed again on the way home .SWITCH_WAIST.") as caught:
+    with pytest.raises(HomingError, match=r"waist: the switch closed again on the way home .SWITCH_WAIST.") as caught:
         home("pose=-150.3,60,-60,60,0&fault=switch-stuck-active:joint=waist@4s")
     assert "ignore_limits" in str(caught.value)
 
