@@ -137,6 +137,7 @@ class ElementTable:
         self.branch = np.array([e.branch for e in elements], dtype=np.intp)
         self.is_joint = np.array([e.space is Space.JOINT for e in elements], dtype=bool)
         self.is_straight = np.array([e.is_straight for e in elements], dtype=bool)
+        self.is_blend = np.array([e.is_blend for e in elements], dtype=bool)
         self._round = bool(self.omega.any())
         self._curves = [i for i, e in enumerate(elements) if e.curve is not None]
 

@@ -32,6 +32,9 @@ MOST_FIRST_INTERVALS = 200
 """first cut of a long element; 200 cost 0.3 % of the time of a rest-to-rest line."""
 BEND_TOLERANCE = 0.001
 """Largest bend, relative to its limit, that is not refined but subtracted."""
+TINY_BEND_TOLERANCE = 0.01
+"""The same within sharp blends that are shorter than one interval: refined as far as others, each has 260 intervals."""
+_SHARP_RAD = 0.35
 MARGIN = 2e-6
 """Relative distance kept from every limit, for rounding."""
 LIMIT_TOLERANCE_DEG = 1e-7
@@ -76,11 +79,31 @@ class _Rows:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Fineness:
+    """How fine a grid is: first intervals of an element (at least, at most), of all elements together (at least), and
+    the largest bends, relative to their limits, that are subtracted instead of refined.
+    """
+
+    fewest_each: int
+    most_each: int
+    fewest: int
+    bend_tolerance: float
+    tiny_bend_tolerance: float
+
+
+FINE = Fineness(1, MOST_FIRST_INTERVALS, FEWEST_INTERVALS, BEND_TOLERANCE, TINY_BEND_TOLERANCE)
+"""For laws that are played."""
+COARSE = Fineness(1, 40, FEWEST_INTERVALS, 0.004, 0.01)
+"""Good enough to compare two ways."""
+ROUGH = Fineness(8, 12, 8, 0.1, 0.1)
+"""Of a few per cent too slow a law, at a tenth of the cost; every element has enough intervals for a law of its own."""
+
+
 class GridBuilder:
     """Builds grids for one arm (with its tool) and one set of limits.
 
-    `check_limits` False leaves joint ranges unchecked, `speed_scale` scales the rows' velocity limits, `coarse` makes
-    a grid that is good enough to compare two ways.
+    `check_limits` False leaves joint ranges unchecked, `speed_scale` scales the rows' velocity limits.
     """
 
     def __init__(
@@ -90,11 +113,10 @@ class GridBuilder:
         *,
         check_limits: bool = True,
         speed_scale: float = 1.0,
-        coarse: bool = False,
+        fineness: Fineness = FINE,
     ) -> None:
         self._arm = arm
-        self._most_first = 40 if coarse else MOST_FIRST_INTERVALS
-        self._bend_tolerance = 0.004 if coarse else BEND_TOLERANCE
+        self._fineness = fineness
         self._limits = limits
         self._check_limits = check_limits
         tcp = limits.tcp_acceleration_mm_s2
@@ -114,13 +136,14 @@ class GridBuilder:
         element, start, stop = first
         middle = 0.5 * (start + stop)
         count = len(element)
+        tolerance = self._tolerances(table)
         rows = self._rows(table, np.concatenate((element, element, element)), np.concatenate((start, middle, stop)))
         ia = np.arange(count)
         im, ib = ia + count, ia + 2 * count
         for _ in range(_ROUNDS):
             bend, speed_bend, x_top = self._bends(rows, ia, im, ib, stop - start)
             worst = np.maximum((bend / self._bounds).max(axis=1), speed_bend)
-            split = (worst > self._bend_tolerance) & (stop - start > 1e-10)
+            split = (worst > tolerance[element]) & (stop - start > 1e-10)
             if not split.any():
                 break
             points = len(rows.a)
@@ -160,9 +183,15 @@ class GridBuilder:
         )
         return Grid(element, start, stop, lines)
 
+    def _tolerances(self, table: ElementTable) -> Array:
+        tiny = table.is_blend & (table.length < LONGEST_INTERVAL_MM) & (np.abs(table.omega) * table.length > _SHARP_RAD)
+        return np.where(tiny, self._fineness.tiny_bend_tolerance, self._fineness.bend_tolerance)
+
     def _first_cut(self, table: ElementTable) -> tuple[Indices, Array, Array]:
-        counts = np.clip(np.ceil(table.length / LONGEST_INTERVAL_MM), 1, self._most_first).astype(np.intp)
-        counts *= -(-FEWEST_INTERVALS // int(counts.sum()))
+        fineness = self._fineness
+        wanted = np.ceil(table.length / LONGEST_INTERVAL_MM)
+        counts = np.clip(wanted, fineness.fewest_each, fineness.most_each).astype(np.intp)
+        counts *= -(-fineness.fewest // int(counts.sum()))
         element = np.repeat(np.arange(len(table)), counts)
         ends = np.cumsum(counts)
         within = np.arange(len(element)) - np.repeat(ends - counts, counts)
