@@ -104,7 +104,6 @@ def commission_command(
 
 
 def without_none(table: dict[str, Any]) -> dict[str, Any]:
-    """The table without the keys whose value is None, in its sections too: TOML has no such value."""
     """Nested tables without the keys that have no value: TOML has no null."""
     return {
         key: without_none(value) if isinstance(value, dict) else value
@@ -114,7 +113,6 @@ def without_none(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def laid_over(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """A copy of `base` in which `changes` stand instead of what they name, section by section."""
     """Nested tables with those of `changes` in place of their own values; neither is altered."""
     merged = dict(base)
     for key, value in changes.items():
