@@ -1,6 +1,7 @@
 """NURBS curves (G5, G5.1, G5.2) parametrised by their arc length.
 
-The curve is evaluated by de Boor's algorithm in homogeneous coordinates. Its arc length comes from Gauss-Legendre
+The curve is evaluated in homogeneous coordinates, from its polynomials on the knot spans (from the derivatives at their
+beginnings, by de Boor's algorithm). Its arc length comes from Gauss-Legendre
 quadrature of order 12 on parts of the knot spans that are halved until that changes the length by less than 1e-13 of
 the whole (or of the coordinates); s is inverted by Newton's method from a table, so |dp/ds| = 1 up to rounding:
 
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import sqrt
+from math import factorial, sqrt
 
 import numpy as np
 
@@ -75,6 +76,8 @@ class SplineCurve:
         # the knot spans that the part lies in: its ends belong to them, not to their neighbours
         self._first_span = max(degree, int(np.searchsorted(self._knots, low, side="right")) - 1)
         self._last_span = min(n - 1, int(np.searchsorted(self._knots, high, side="left")) - 1)
+        self._widths = np.diff(self._knots)
+        self._polynomials = self._expanded()
         self._beside_low = self._beside_high = 0.0
         self._spans = np.unique(np.clip(self._knots, low, high))
         breaks = np.concatenate([np.linspace(a, b, _SAMPLES + 1)[:-1] for a, b in pairwise(self._spans.tolist())])
@@ -145,8 +148,7 @@ class SplineCurve:
         )
 
     def _speeds(self, u: Array) -> Array:
-        span = self._span_of(u)
-        h0, h1 = self._de_boor(self._poles, span, u, self._degree), self._derivative(span, u, 1)
+        h0, h1, _ = self._homogeneous(u)
         first = (h1[:, :3] - h1[:, 3:] * (h0[:, :3] / h0[:, 3:])) / h0[:, 3:]
         speeds: Array = np.sqrt(np.einsum("ni,ni->n", first, first))
         return speeds
@@ -187,12 +189,14 @@ class SplineCurve:
         low, high = self._u[k], self._u[k + 1]
         share = (inside - self._s[k]) / np.maximum(self._s[k + 1] - self._s[k], 1e-300)
         u = low + share * (high - low)
+        left = np.arange(len(u))
         for _ in range(_NEWTON_STEPS):
-            speed = np.maximum(self._speeds(u), _SHORTEST_SPEED)
-            error = self._s[k] + self._lengths(low, u) - inside
-            step = error / speed
-            u = np.clip(u - step, low, high)
-            if float(np.abs(error).max(initial=0.0)) < 1e-12 * max(1.0, self.length_mm):
+            start, guess = low[left], u[left]
+            error = self._s[k[left]] + self._lengths(start, guess) - inside[left]
+            step = error / np.maximum(self._speeds(guess), _SHORTEST_SPEED)
+            u[left] = np.clip(guess - step, start, high[left])
+            left = left[(np.abs(error) >= 1e-12 * max(1.0, self.length_mm)) & (u[left] != guess)]
+            if not len(left):
                 break
         place, first, second = self._at(u)
         if self._beside_low or self._beside_high:
@@ -220,15 +224,47 @@ class SplineCurve:
 
     def _at(self, u: Array) -> tuple[Array, Array, Array]:
         """Point, first and second derivative (n, 3) with respect to the knot parameter u (n,)."""
-        span = self._span_of(u)
-        h0 = self._de_boor(self._poles, span, u, self._degree)
-        h1 = self._derivative(span, u, 1)
-        h2 = self._derivative(span, u, 2)
+        h0, h1, h2 = self._homogeneous(u)
         w, w1, w2 = h0[:, 3:], h1[:, 3:], h2[:, 3:]
         place = h0[:, :3] / w
         first = (h1[:, :3] - w1 * place) / w
         second = (h2[:, :3] - 2.0 * w1 * first - w2 * place) / w
         return place, first, second
+
+    def _homogeneous(self, u: Array) -> tuple[Array, Array, Array]:
+        """Homogeneous point, first and second derivative (n, 4) with respect to u (n,), by Horner's rule from the
+        nearer end of the knot span: so nothing cancels where control points coincide.
+        """
+        span = self._span_of(u)
+        width = self._widths[span]
+        is_late = u - self._knots[span] > 0.5 * width
+        t = ((u - self._knots[span + is_late]) / width)[:, None]
+        index = 2 * span + is_late
+        value = self._polynomials[-1][index]
+        first, second = np.zeros_like(value), np.zeros_like(value)
+        for coefficients in self._polynomials[-2::-1]:
+            second = second * t + first
+            first = first * t + value
+            value = value * t + coefficients[index]
+        scale = 1.0 / width[:, None]
+        return value, first * scale, 2.0 * second * scale**2
+
+    def _expanded(self) -> Array:
+        """Coefficients (degree + 1, 2 spans, 4) of the powers of (u - knot) / width about both ends of every knot span
+        in use.
+        """
+        found = np.zeros((self._degree + 1, 2 * (self._last_span + 1), 4))
+        for k in range(self._first_span, self._last_span + 1):
+            width = float(self._widths[k])
+            if width <= 0.0:
+                continue
+            span = np.array([k], dtype=np.intp)
+            for side in (0, 1):
+                u, row = self._knots[k + side : k + side + 1], 2 * k + side
+                found[0, row] = self._de_boor(self._poles, span, u, self._degree)[0]
+                for order in range(1, self._degree + 1):
+                    found[order, row] = self._derivative(span, u, order)[0] * width**order / factorial(order)
+        return found
 
     def _de_boor(self, poles: Array, span: Indices, u: Array, degree: int) -> Array:
         index = span[:, None] - degree + np.arange(degree + 1)

@@ -43,7 +43,7 @@ def planned(moves: list[Move], config: Config = CONFIG) -> Plan:
     return Plan(ARM, config, Planner(ARM, config, start.q_deg).plan(moves))
 
 
-def dense(move: SplineMove, count: int = 200_001) -> np.ndarray:
+def dense(move: SplineMove, count: int = 100_001) -> np.ndarray:
     """Points of the curve by scipy's B-splines (homogeneous)."""
     from scipy.interpolate import BSpline
 
@@ -156,7 +156,7 @@ def random_splines(draw: st.DrawFn) -> SplineMove:
 
 
 @settings(
-    max_examples=15,
+    max_examples=10,
     deadline=None,
     derandomize=True,
     phases=[Phase.generate],
