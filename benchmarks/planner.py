@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from math import cos, sin
+from math import cos, radians, sin
 from pathlib import Path
 
 import numpy as np
@@ -209,6 +209,45 @@ def run_spiral(count: int) -> bool:
     return fine
 
 
+ZIGZAG_TURNS_DEG = (180.0, 175.0, 135.0, 90.0, 30.0, 15.0)
+ZIGZAG_LEGS_MM = (0.2, 1.0, 10.0)
+
+
+def zigzag(count: int, leg_mm: float, turn_deg: float) -> list[Move]:
+    """Legs that turn back by `turn_deg` again and again, at F6000 and G64 P0.5."""
+    half = radians(180.0 - turn_deg) / 2.0
+    moves: list[Move] = [mode(0.5)]
+    x, y = 300.0, -30.0
+    for i in range(count):
+        x += leg_mm * cos(half) * (1 if i % 2 == 0 else -1)
+        y += leg_mm * sin(half)
+        y -= 120.0 if y > 60.0 else 0.0
+        moves.append(LinearMove((x, y, 150.0, 0.0, 0.0, 0.0), Feed(6000.0), Source("zigzag.ngc", i + 2)))
+    return moves
+
+
+def run_zigzags(count: int) -> bool:
+    """Planning speed where every corner is sharp; whether planning is well ahead of the motion (3 times) everywhere."""
+    start = ARM.ik((300.0, -30.0, 150.0), 0.0, 0.0).best
+    assert start is not None
+    good = True
+    print(f"zigzags of {count} lines, lines/s of planning (x real time) by turn")
+    print(f"{'leg mm':>8}" + "".join(f"{turn:>14.0f} deg" for turn in ZIGZAG_TURNS_DEG))
+    for leg in ZIGZAG_LEGS_MM:
+        row = f"{leg:8.1f}"
+        for turn in ZIGZAG_TURNS_DEG:
+            moves = zigzag(count, leg, turn)
+            before = time.process_time()
+            motion_s = sum(piece.motion_s for piece in Planner(ARM, CONFIG, start.q_deg).plan(moves))
+            cpu = time.process_time() - before
+            good &= motion_s >= 3.0 * cpu
+            row += f"{count / cpu:>9.0f} ({motion_s / cpu:>5.0f} x)"
+        print(row)
+    if not good:
+        print("  MISSED: planning is less than 3 times as fast as the motion")
+    return good
+
+
 def main() -> int:
     """Print the tables; 1 when a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -216,6 +255,7 @@ def main() -> int:
     options = parser.parse_args()
     good = run_cases()
     good &= run_spiral(int(options.n))
+    good &= run_zigzags(100)
     print("CPU to the first segment and memory of long programs: python -m benchmarks.long_program --n 1e5")
     print("planner: every target met" if good else "planner: TARGETS MISSED")
     return 0 if good else 1
