@@ -95,10 +95,6 @@ class Flow:
     pending_fanuc: bool = False
     jumped_back: bool = False
 
-    def in_main(self) -> bool:
-        """Whether the next block belongs to the main program and is not skipped."""
-        return not self.frames and self.skip is Skip.NO
-
     def call_stack(self) -> tuple[CallFrame, ...]:
         """The calls in force, outermost first."""
         return tuple(CallFrame(frame.label, frame.call) for frame in self.frames)
@@ -417,14 +413,6 @@ class Flow:
         self.jumped_back = True
         if saved is not None and saved.at_return:
             restore_modes(ctx, saved)
-
-    def open_loops(self) -> list[Label]:
-        """Loops of this scope that were begun; which of them lack an end only the rest of the file can tell."""
-        return [
-            known
-            for (name, sub, _), known in self.labels.items()
-            if (name, sub) == self.scope and known.keyword in ("while", "repeat", "do")
-        ]
 
 
 _HANDLERS: dict[str, Callable[[Flow, Context, OWord, str], None]] = {

@@ -14,7 +14,6 @@ and every error, goes the long way, so both give the same calls (a property test
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NoReturn
@@ -24,6 +23,7 @@ from rm501_host.gcode.block import Block
 from rm501_host.gcode.comments import execute_comment, is_active
 from rm501_host.gcode.context import Context, MachineFeedback, OfflineFeedback, PeerFeedback
 from rm501_host.gcode.coordinates import emit_g5x, emit_g92, emit_rotation
+from rm501_host.gcode.ends import end_of_file, has_last_percent, require_lone_percent, skip_to_program, unfinished_loops
 from rm501_host.gcode.errors import (
     GcodeError,
     GcodeFlowError,
@@ -53,7 +53,6 @@ BLOCK_CACHE = 4096
 """Parsed blocks kept: more than any loop has, a few MB at most."""
 HEARTBEAT_BLOCKS = 10_000
 MAX_WARNINGS = 1000
-_PERCENT = re.compile(r"\s*%\s*\Z")
 
 
 class Interpreter:
@@ -215,7 +214,7 @@ class Interpreter:
         silent = blocks = 0
         limit = self.settings.max_blocks
         starting = self.settings.start_line if self.settings.start_line > 1 else 0
-        percent = self._skip_to_program()
+        percent = skip_to_program(flow, ctx)
         while True:
             if flow.source is not source:
                 source, base, lines = flow.source, 0, []
@@ -228,7 +227,7 @@ class Interpreter:
                 if not lines:
                     if starting:
                         self._never_reached(starting)
-                    self._end_of_file(percent)
+                    raise end_of_file(flow, ctx, percent, self.settings.subroutine_path)
             text = lines[local]
             flow.pc = index + 1
             if ctx.pending is not None:
@@ -254,7 +253,8 @@ class Interpreter:
                 parameters.line = index + 1
                 if percent and text.lstrip()[:1] == "%" and source is self.source:
                     ctx.at = Location(source.name, index + 1, text)
-                    self._finish_percent(text)
+                    require_lone_percent(text)
+                    self._signal(c.Signal.FINISH)
                     return
                 block = cache.get(text) if flow.skip is Skip.NO else None
                 if block is None:
@@ -262,9 +262,10 @@ class Interpreter:
                 if block is not None and self._run_block(block, text, source.name, index + 1):
                     if starting:
                         self._never_reached(starting)
-                    if percent and not self._find_line(_PERCENT, index + 1, missing_is=False):
+                    if percent and not has_last_percent(flow.source, index + 1):
                         out.append(c.Comment("interpreter: percent sign missing from end of file", ctx.at))
-                    self._warn_unfinished()
+                    for message, at in unfinished_loops(flow):
+                        self._warn_at(message, at)
                     return
                 blocks += 1
                 silent += 1
@@ -311,74 +312,6 @@ class Interpreter:
         text = text[: text.index("\0")]
         self._warn_at("NUL byte: the rest of the line is ignored", Location(name, line, text))
         return text
-
-    def _skip_to_program(self) -> bool:
-        """Skip empty lines; True when the program is bracketed by percent signs."""
-        flow = self._flow
-        index = 0
-        self._context.at = Location(flow.source.name, 1)
-        while True:
-            base, lines = flow.source.block(index)
-            if not lines:
-                return False
-            for line in lines[index - base :]:
-                stripped = line.strip()
-                if stripped:
-                    if stripped == "%":
-                        flow.pc = index + 1
-                        return True
-                    return False
-                index += 1
-
-    def _finish_percent(self, text: str) -> None:
-        if text.strip() != "%":
-            raise GcodeFlowError("text behind a percent sign", "Only a comment-free % may end the program.")
-        self._signal(c.Signal.FINISH)
-
-    def _end_of_file(self, percent: bool) -> NoReturn:
-        flow, ctx = self._flow, self._context
-        if flow.skip is not Skip.NO and flow.skip_at is not None:
-            what = {
-                Skip.DEFINITION: ("endsub", "this subroutine"),
-                Skip.SEEK: ("beginning", "the subroutine called here"),
-                Skip.BRANCH: ("endif", "this branch"),
-                Skip.LOOP: ("end", "this loop"),
-                Skip.CONTINUE: ("end", "this loop"),
-            }[flow.skip]
-            ctx.at = flow.skip_at
-            searched = ", ".join(str(p) for p in self.settings.subroutine_path)
-            hint = f" Folders searched: {searched or 'none'}." if flow.skip is Skip.SEEK else ""
-            raise GcodeFlowError(
-                f"the file ended before the {what[0]} of {what[1]}: o<{flow.skip_label}>",
-                f"Add it, or check the label.{hint}",
-            )
-        ctx.at = Location(flow.source.name, flow.pc + 1)
-        if percent:
-            raise GcodeFlowError("file ended with no percent sign", "End the program with % or M2.")
-        raise GcodeFlowError("file ended with no percent sign or program end", "End the program with M2.")
-
-    def _warn_unfinished(self) -> None:
-        """A loop that was begun but has no end in the rest of the file is probably a mistake."""
-        flow = self._flow
-        for label, known in list(flow.labels.items())[:100]:
-            if (label[0], label[1]) == (flow.source.name, "") and known.keyword in ("while", "repeat", "do"):
-                ending = "while" if known.keyword == "do" else f"end{known.keyword}"
-                pattern = re.compile(rf"\s*/?\s*(?:n[0-9]+\s*)?o\s*<?\s*{re.escape(label[2])}\s*>?\s*{ending}", re.I)
-                if not self._find_line(pattern, known.line + 1):
-                    self._warn_at(f"missing {ending} for this {known.keyword}", known.at)
-
-    def _find_line(self, pattern: re.Pattern[str], index: int, *, most: int = 10_000, missing_is: bool = True) -> bool:
-        """Whether a line from `index` on matches; `missing_is` when it is not among the next `most`."""
-        stop = index + most
-        while index < stop:
-            base, lines = self._flow.source.block(index)
-            if not lines:
-                return False
-            for line in lines[index - base :]:
-                if pattern.match(line):
-                    return True
-            index = base + len(lines)
-        return missing_is
 
     # -- one block
 
