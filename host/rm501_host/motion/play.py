@@ -23,6 +23,7 @@ from rm501_host.motion.respeeding import (
     Respeedable,
     Takeover,
     earliest_cut,
+    longest_frames,
     prepared,
     takeover_place,
 )
@@ -34,6 +35,7 @@ from rm501_host.session.fault_words import describe_fault
 from rm501_protocol.declaration import Message
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause, SegmentFlag
 from rm501_protocol.messages import Hold, Resume, Start, Truncate
+from rm501_protocol.segment import MAX_LENGTH_FRAMES
 from rm501_protocol.segment_message import Segment
 
 _POLL_S = 0.02
@@ -101,7 +103,10 @@ class Play:
         self._options = options
         self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
         self._live = pieces if isinstance(pieces, Respeedable) else None
-        segmenter = Segmenter(config, mirror.positions_q48, mirror.end_frame, mirror.offsets.law)
+        most_frames = MAX_LENGTH_FRAMES if self._live is None else longest_frames(config)
+        segmenter = Segmenter(
+            config, mirror.positions_q48, mirror.end_frame, mirror.offsets.law, most_frames=most_frames
+        )
         self._source: Iterator[PlannedSegment] = iter(segmenter.segments(pieces))
         self._waiting: deque[PlannedSegment] = deque()
         self._is_exhausted = self._is_started = self._is_under_way = self._has_moved = False

@@ -35,6 +35,8 @@ _NEWS_S = 0.1
 """How old the board's last word on where it is may be, and how long a message may take there."""
 _ROOM = 1 << 19
 """Sum of slopes that brakes from rate 1 (`firmware.md`)."""
+_LONGEST_S = 0.5
+"""An arc about the waist is one cubic from its start to its end, 6 s in the thesis's program."""
 MOST_ATTEMPTS = 4
 
 
@@ -75,6 +77,11 @@ class Takeover:
     at: PlannedSegment
     first: list[PlannedSegment]
     others: Iterator[PlannedSegment]
+
+
+def longest_frames(config: Config) -> int:
+    """How long segments may be whose law may be replaced: another law takes over at their boundaries only."""
+    return round(_LONGEST_S / (config.board.base_period_us * len(config.board.table) * 1e-6))
 
 
 def takeover_place(
@@ -119,7 +126,14 @@ def earliest_cut(
 
 def prepared(config: Config, live: Respeedable, at: PlannedSegment, before: PlannedSegment) -> Takeover:
     """Plan and segment from the start of `at` on, where motion has the speed at the end of `before`."""
-    segmenter = Segmenter(config, at.start_q48, at.start_frame, before.offsets, end_speed(before))
+    segmenter = Segmenter(
+        config,
+        at.start_q48,
+        at.start_frame,
+        before.offsets,
+        end_speed(before),
+        most_frames=longest_frames(config),
+    )
     segments = segmenter.segments(live.respeeded(at))
     return Takeover(at, list(islice(segments, BATCH)), segments)
 

@@ -11,7 +11,7 @@ followed, exactly, to the first grid point of the new one from which the new one
 other words: nothing ever has to be slowed down beyond what was planned, speeds only rise.
 
 Laws that average over time (jerk) or come from outside cannot be left in motion: they are scaled from their next rest
-on, or, timed from outside, not at all.
+on, or, timed from outside, not at all. Averages are made in windows, too, so a chain without an end is no burden.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from rm501_host.config import Config
 from .elements import Array, Element
 from .grid import GridBuilder
 from .jerk import JerkLaw
+from .jerk_window import JerkWindow
 from .law import PathLaw
 from .limits import Limits
 from .pieces import Piece, PieceEvent, PieceKind
@@ -36,6 +37,8 @@ from .window import Window
 
 _CHUNK = 64
 """Elements that enter the window at once: the first segments of a new law are wanted soon."""
+_SMOOTH_CHUNK = 256
+"""The same for averages, whose windows need more ahead of them."""
 _MOST_FOLLOWED = 4_000
 """Grid intervals over which a chance to leave the law before is looked for at a time."""
 _LEAST_LEFT = 33
@@ -209,9 +212,12 @@ class Respeed:
     ) -> Generator[Respeeded, None, int]:
         """The chain that holds `begin`, with a new law from there; gives the number behind it."""
         first = self._path(begin.piece)
-        window = Window(first.arm, GridBuilder(first.arm, self._limits, check_limits=False), self._frame_s)
+        if isinstance(first, JerkLaw):
+            assert lead is None, "an average is not left in motion"
         chain = _Chain(self._source, begin, self._frame_s, is_moving=lead is not None)
-        is_smooth = isinstance(first, JerkLaw)
+        builder = GridBuilder(first.arm, self._limits, check_limits=False)
+        smooth = JerkWindow(first.arm, builder, self._limits, self._frame_s) if isinstance(first, JerkLaw) else None
+        window = Window(first.arm, builder, self._frame_s)
         slack_way = begin.way
         if event_slack_s > 0.0 and begin.way > 0.0:
             slack_way = way_at(first, max(0.0, time_at(first, begin.way) - event_slack_s))
@@ -223,26 +229,38 @@ class Respeed:
             chain.take_events(piece.events, law, slack_way - way, way)
             elements = [_scaled(element, scale) for element in elements_between(law, way, length_of(law))]
             number, way, slack_way, ends = number + 1, 0.0, 0.0, piece.ends_at_rest
-            for at in range(0, len(elements), _CHUNK):
-                window.extend(elements[at : at + _CHUNK])
+            size = _CHUNK if smooth is None else _SMOOTH_CHUNK
+            for at in range(0, len(elements), size):
+                chunk = elements[at : at + size]
+                if smooth is not None:
+                    smooth.extend(chunk)
+                    while (settled := smooth.commit()) is not None:
+                        yield chain.made(settled.law, scale, rests=settled.ends_at_rest)
+                    continue
+                window.extend(chunk)
                 if lead is not None:
                     followed, lead = _follow(window, lead)
                     for part in followed:
                         yield chain.made(part.law, part.scale)
-                if lead is None and not is_smooth:
+                if lead is None:
                     while (stretch := window.commit()) is not None:
                         yield chain.made(stretch.law, scale)
-        if lead is not None:
+        if smooth is not None:
+            left = smooth.finish()
+            while left is not None:
+                # there is more where no legal law was found in the middle
+                settled, left = left, smooth.finish()
+                yield chain.made(settled.law, scale, rests=True, ends=left is None)
+        elif lead is not None:
             # nowhere could it be left: it is followed to the rest
             rest = lead.until(np.inf)
             for part in rest[:-1]:
                 yield chain.made(part.law, part.scale)
-            yield chain.made(rest[-1].law, rest[-1].scale, ends=True)
+            yield chain.made(rest[-1].law, rest[-1].scale, rests=True, ends=True)
         else:
             last = window.finish()
             assert last is not None
-            smooth = JerkLaw.over(last.law, last.lines, self._limits, self._frame_s) if is_smooth else last.law
-            yield chain.made(smooth, scale, ends=True)
+            yield chain.made(last.law, scale, rests=True, ends=True)
         return number
 
     def _path(self, number: int) -> Along:
@@ -290,8 +308,8 @@ class _Chain:
                 self._events.append((self._known + beyond, event))
         self._known += length_of(law) - way
 
-    def made(self, law: Along, scale: float, *, ends: bool = False) -> Respeeded:
-        """The piece that plays `law`, the next part of the chain."""
+    def made(self, law: Along, scale: float, *, rests: bool = False, ends: bool = False) -> Respeeded:
+        """The piece that plays `law`, the next part of the chain; whether it ends at rest, and is the last one."""
         length = length_of(law)
         start_s, duration_s = self._time_s, law.duration_s
         rest = tuple(law.q_deg(np.array([duration_s]))[0].tolist())
@@ -301,22 +319,23 @@ class _Chain:
             offset_s = time_at(law, min(max(0.0, way - self._way), length))
             events.append(replace(event, offset_s=offset_s))
         self._time_s += duration_s
-        whole_s = ceil(self._time_s / self._frame_s - 1e-6) * self._frame_s if ends else self._time_s
+        if rests:
+            self._time_s = ceil(self._time_s / self._frame_s - 1e-6) * self._frame_s
         piece = Piece(
             PieceKind.MOTION,
             law.table.elements[int(law.places(np.zeros(1))[0][0])].source,
             start_s,
-            whole_s - start_s,
+            self._time_s - start_s,
             rest,
             law=law,
             starts_at_rest=not self._is_moving,
-            ends_at_rest=ends,
+            ends_at_rest=rests,
             events=tuple(events),
             motion_s=duration_s,
             arm=law.arm,
         )
         played = Respeeded(piece, self._place, scale)
-        self._is_moving = True
+        self._is_moving = not rests
         self._place = moved(self._source, self._place, length)
         self._way += length
         return played

@@ -78,6 +78,7 @@ class Segmenter:
     `start_frame`: the motion frame (64 bits) from which segments go on. Both follow the segments that are yielded.
     `offsets`: how much of the positions is play taken up; those of the segment before where motion goes on in mid-run.
     `start_speed`: (5,) in steps/frame, that of the segment before where motion goes on; else it is the ideal one.
+    `most_frames`: how long segments of motion may be, for motion that may be replanned at their boundaries.
     """
 
     def __init__(
@@ -87,6 +88,8 @@ class Segmenter:
         start_frame: int,
         offsets: OffsetLaw = NO_OFFSETS,
         start_speed: Array | None = None,
+        *,
+        most_frames: int = MAX_LENGTH_FRAMES,
     ) -> None:
         self._config = config
         self._motors = MotorMap(config)
@@ -97,6 +100,7 @@ class Segmenter:
         self._guess = 64
         self._speed = np.zeros(5)
         self._start_speed = start_speed
+        self._most_frames = most_frames
         self._slopes = Slopes(config, self._motors)
         self._events_ahead = EventsAhead()
         self._backlash = Backlash(self._motors.limits, self._frame_s, offsets)
@@ -235,8 +239,9 @@ class Segmenter:
         return low, *best
 
     def _last_end(self, samples: Samples, at: int) -> int:
-        """The last sample at which a segment from sample `at` may end, for it carries only so many events."""
-        last = len(samples.frames) - 1
+        """The last sample at which a segment from sample `at` may end: it may be so long, and carry so many events."""
+        most = int(np.searchsorted(samples.frames, samples.frames[at] + self._most_frames, side="right")) - 1
+        last = min(len(samples.frames) - 1, max(at + 1, most))
         frame = self._events_ahead.last_end
         if frame is None:
             return last

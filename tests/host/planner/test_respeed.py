@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
+from math import sin
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from rm501_host.config import Config, load_config
 from rm501_host.kinematics import Arm
 from rm501_host.moves import Dwell, Feed, LinearMove, Move, OutputChange, RapidMove
 from rm501_host.planner import Piece, PieceKind, Plan, Planner
+from rm501_host.planner.jerk import JerkLaw
 from rm501_host.planner.law import PathLaw
 from rm501_host.planner.pieces import EventKind, PieceEvent
 from rm501_host.planner.respeed import Lead, Place, Respeed, Respeeded, moved, place_at, plan_time
@@ -164,6 +167,44 @@ def test_places_and_times_are_each_others_inverse_also_across_pieces_and_laws() 
     for way in np.linspace(0.0, length_of(law), 23):
         assert way_at(law, time_at(law, float(way))) == pytest.approx(way, abs=1e-9)
     assert moved(source, Place(0), 1e9).piece == len(source.pieces) - 1
+
+
+def test_an_averaged_chain_is_scaled_in_windows_from_any_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole chains of it cannot be planned at once: they may be without an end."""
+    soft = msgspec.structs.replace(CONFIG, planner=msgspec.structs.replace(CONFIG.planner, jerk_limited=True))
+    monkeypatch.setattr("rm501_host.planner.respeed._SMOOTH_CHUNK", 64)
+    points = [(300 + 0.4 * i, 8.0 * sin(0.05 * i), 150.0) for i in range(160)]
+    moves = [mode(0.5), *lines(points, 240.0)]
+    moves.insert(90, OutputChange(0, True, True, at(90)))
+    best = ARM.ik((300.0, 0.0, 150.0), 0.0, 0.0).best
+    assert best is not None
+    source = planned(moves, best.q_deg, soft)
+    for share, scale in ((0.0, 2.0), (0.3, 1.0)):
+        begin = moved(source, Place(0), share * sum(length_of(as_jerk(piece)) for piece in source.pieces))
+        made = list(Respeed(soft, source, lambda scale=scale: scale).pieces(begin))
+        assert len(made) > 2
+        assert made[-1].piece.ends_at_rest and sum(item.piece.ends_at_rest for item in made) <= 2
+        assert sum(len(item.piece.events) for item in made) == 1
+        pieces = []
+        for item in made:
+            start_s = pieces[-1].end_s if pieces else 0.0
+            pieces.append(replace(item.piece, start_s=start_s))
+            place = place_at(source, item, item.piece.motion_s)
+            here = source.pieces[place.piece].q_deg(
+                np.array([plan_time(source, place) - source.pieces[place.piece].start_s])
+            )
+            assert np.abs(here - item.piece.q_deg(np.array([item.piece.motion_s]))).max() < 1e-5
+        samples = Plan(ARM, soft, pieces).sample()
+        assert judge_samples(CONFIG, samples.t_s, samples.q_deg).worst <= 1.0 + 1e-6
+        jerks = np.abs(np.diff(samples.q_deg, 3, axis=0))[:-1] / 1e-9
+        assert (jerks / [joint.max_jerk_deg_s3 for joint in CONFIG.joints.ordered]).max() <= 1.0 + 1e-3
+        if scale > 1.0:
+            assert pieces[-1].end_s < source.pieces[-1].end_s - 0.5
+
+
+def as_jerk(piece: Piece) -> JerkLaw:
+    assert isinstance(piece.law, JerkLaw)
+    return piece.law
 
 
 def test_a_slice_of_a_law_is_the_law_itself() -> None:
