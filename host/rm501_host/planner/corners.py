@@ -187,28 +187,23 @@ class CornerMaker:
         blended = [first.trimmed(used, first.length - corner.before)] if cut_head > 1e-9 else []
         blended += [*corner.elements, second.trimmed(corner.after, second.length)]
         try:
-            ratio = self._rough_ratio(blended, head, second)
-            if ratio < CLEARLY_FASTER or ratio > CLEARLY_SLOWER:
+            ratio = _ratio(self._glance, blended, head, second)
+            if not CLEARLY_FASTER <= ratio <= CLEARLY_SLOWER:
                 return ratio < 1.0
-            passing = self._duration(blended)
-            stopping = self._duration([head]) + self._duration([second])
+            return _ratio(self._judge, blended, head, second) < 1.0
         except PlanError:
             return False
-        return passing < stopping
 
-    def _rough_ratio(self, blended: list[Element], head: Element, second: Element) -> float:
-        """Time of passing over that of stopping, all on one grid: a numpy call costs as much for one way as for all."""
-        grid = self._glance.build(ElementTable([*blended, head, second]))
-        ends = np.searchsorted(grid.element, (len(blended), len(blended) + 1, len(blended) + 2)).tolist()
-        times = []
-        for first, last in zip([0, *ends[:-1]], ends, strict=True):
-            lines = sliced_lines(grid.lines, first, last)
-            times.append(law_duration(lines.length, fastest_speeds(lines)))
-        return times[0] / (times[1] + times[2])
 
-    def _duration(self, elements: list[Element]) -> float:
-        grid = self._judge.build(ElementTable(elements))
-        return law_duration(grid.lines.length, fastest_speeds(grid.lines))
+def _ratio(builder: GridBuilder, blended: list[Element], head: Element, second: Element) -> float:
+    """Time of passing over that of stopping, all on one grid: a numpy call costs as much for one way as for all."""
+    grid = builder.build(ElementTable([*blended, head, second]))
+    ends = np.searchsorted(grid.element, (len(blended), len(blended) + 1, len(blended) + 2)).tolist()
+    times = []
+    for first, last in zip([0, *ends[:-1]], ends, strict=True):
+        lines = sliced_lines(grid.lines, first, last)
+        times.append(law_duration(lines.length, fastest_speeds(lines)))
+    return times[0] / (times[1] + times[2])
 
 
 def _bends_alike(first: Element, second: Element) -> bool:

@@ -94,7 +94,7 @@ class Fineness:
 
 FINE = Fineness(1, MOST_FIRST_INTERVALS, FEWEST_INTERVALS, BEND_TOLERANCE, TINY_BEND_TOLERANCE)
 """For laws that are played."""
-COARSE = Fineness(1, 40, FEWEST_INTERVALS, 0.004, 0.01)
+COARSE = Fineness(20, 40, FEWEST_INTERVALS, 0.004, 0.01)
 """Good enough to compare two ways."""
 ROUGH = Fineness(8, 12, 8, 0.1, 0.1)
 """Of a few per cent too slow a law, at a tenth of the cost; every element has enough intervals for a law of its own."""

@@ -12,7 +12,8 @@ from rm501_host.config import load_config
 from rm501_host.kinematics import Arm
 from rm501_host.moves import Move, PathMode, Source
 from rm501_host.planner import Plan, Planner
-from rm501_host.planner.corners import CLEARLY_FASTER, CLEARLY_SLOWER, CornerMaker
+from rm501_host.planner import corners as corners_module
+from rm501_host.planner.corners import CornerMaker
 from rm501_host.planner.elements import Element, Space, line
 from rm501_host.planner.grid import FINE, GridBuilder
 from rm501_host.planner.limits import Limits
@@ -44,18 +45,15 @@ def corners(count: int) -> list[tuple[Element, float, Element, float]]:
     return found
 
 
-class _Careful(CornerMaker):
-    """Asks the finer grids always."""
-
-    def _rough_ratio(self, blended: list[Element], head: Element, second: Element) -> float:
-        return 0.5 * (CLEARLY_FASTER + CLEARLY_SLOWER)
-
-
-def test_what_the_rough_grid_settles_the_finer_ones_say_too() -> None:
-    quick, careful = CornerMaker(ARM, LIMITS), _Careful(ARM, LIMITS)
+def test_what_the_rough_grid_settles_the_finer_ones_say_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    maker = CornerMaker(ARM, LIMITS)
     blended = 0
     for first, used, second, tolerance_mm in corners(60):
-        asked = [maker.between(first, used, second, PathMode.BLEND, tolerance_mm) for maker in (quick, careful)]
+        asked = [maker.between(first, used, second, PathMode.BLEND, tolerance_mm)]
+        with monkeypatch.context() as always:
+            always.setattr(corners_module, "CLEARLY_FASTER", 0.0)
+            always.setattr(corners_module, "CLEARLY_SLOWER", np.inf)
+            asked.append(maker.between(first, used, second, PathMode.BLEND, tolerance_mm))
         assert (asked[0] is None) == (asked[1] is None)
         blended += asked[0] is not None
     assert 15 <= blended <= 55
