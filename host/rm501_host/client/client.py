@@ -106,7 +106,7 @@ class DaemonClient:
         return await self.call_within(_LONG_S if method in _LONG_METHODS else CALL_TIMEOUT_S, method, params)
 
     async def call_within(self, timeout_s: float, method: str, params: dict[str, object]) -> Any:
-        """As `call`, with its own limit on the time."""
+        """As `call`, with its own limit on the time; raises what `call` raises."""
         if self._lost is not None:
             raise self._lost
         number = next(self._numbers)

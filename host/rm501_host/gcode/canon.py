@@ -310,19 +310,11 @@ class SetOutputValue:
     at: Location
 
 
-class WaitMode(IntEnum):
-    """M66 L."""
-
-    IMMEDIATE = 0
-    RISE = 1
-    FALL = 2
-    HIGH = 3
-    LOW = 4
-
-
 @dataclass(frozen=True, slots=True)
 class WaitInput:
-    """M66: the interpreter reads on only after the answer is known (not listed by the peer)."""
+    """M66: the interpreter reads on only after the answer is known (not listed by the peer). `mode` is its L: 0 at
+    once, 1 a rise, 2 a fall, 3 high, 4 low.
+    """
 
     input: int
     analog: bool

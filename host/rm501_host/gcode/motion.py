@@ -125,7 +125,8 @@ def _set_polar(out: list[float], absolute: bool, words: Words) -> None:
 
 
 def inverse_time_feed(ctx: Context, words: Words, length: float, code: str) -> None:
-    """In G93 the feed of one move: its F times its length. Raises GcodeModalError when F is missing."""
+    """In G93 the feed of one move: its F (1/min) times its `length` in units of the
+    program. Raises GcodeModalError when F is missing."""
     rate = words.get("f")
     if rate is None:
         raise GcodeModalError(

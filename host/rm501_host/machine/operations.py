@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -50,7 +50,9 @@ def home(machine: Machine, who: Owner, joints: Sequence[str] = ()) -> Job:
 
 
 def move_joints(machine: Machine, who: Owner, target_deg: Sequence[float], speed: float = 1.0) -> Job:
-    """Go to joint angles on a straight line in joint space, at `speed` (0..1] of the limits."""
+    """Go to joint angles (5,), deg, on a straight line in joint space, at `speed` (0..1] of the limits. Raises
+    RefusedError outside the joint ranges, and what `Machine.start_job` raises.
+    """
     target = _finite("joint angles", target_deg, len(JOINT_NAMES))
     if not 0.0 < speed <= 1.0:
         raise RefusedError(f"speed {speed} is not above 0 and at most 1")
@@ -68,7 +70,9 @@ def move_joints(machine: Machine, who: Owner, target_deg: Sequence[float], speed
 
 
 def move_linear(machine: Machine, who: Owner, target: Sequence[float], feed_mm_s: float = 50.0) -> Job:
-    """Go straight to X Y Z A B C of the program frame; at most the teach speed."""
+    """Go straight to X Y Z (mm) A B C (deg) of the program frame; at most the teach speed. Raises PlanError where no
+    straight way leads there, RefusedError for a feed that is too high, and what `Machine.start_job` raises.
+    """
     goal = _target(target)
     _check_feed(feed_mm_s)
 
@@ -83,7 +87,7 @@ def move_linear(machine: Machine, who: Owner, target: Sequence[float], feed_mm_s
 
 
 def hand(machine: Machine, who: Owner, *, opened: bool) -> Job:
-    """Open or close the hand and wait for its stroke."""
+    """Open or close the hand and wait for its stroke; raises what `Machine.start_job` raises."""
 
     async def body(job: Job) -> None:
         await _play(machine, lambda: _planned(machine, [HandMove(opened, Source("(hand)", 0))]))
@@ -96,9 +100,9 @@ def _planned(machine: Machine, moves: Sequence[Move]) -> tuple[Piece, ...]:
     return tuple(planner.plan(moves))
 
 
-async def _play(machine: Machine, plan: object) -> None:
-    assert machine.stream is not None and callable(plan)
-    pieces: tuple[Piece, ...] = await asyncio.get_running_loop().run_in_executor(None, plan)
+async def _play(machine: Machine, plan: Callable[[], Sequence[Piece]]) -> None:
+    assert machine.stream is not None
+    pieces = tuple(await asyncio.get_running_loop().run_in_executor(None, plan))
     if pieces:
         await asyncio.get_running_loop().run_in_executor(None, lambda: refuse_zones(machine, pieces))
         await machine.stream.play(pieces)

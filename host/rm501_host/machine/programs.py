@@ -112,8 +112,8 @@ class Programs:
     # ------------------------------------------------------------------------------------------ preflight
 
     async def load(self, name: str, *, line: int = 1, speed: float = 1.0) -> Checked:
-        """Check a program from here, and plan it if it is short; raises ProgramNameError, GcodeError, PlanError,
-        RefusedError.
+        """Check a program from here, at `speed` times its feeds, and plan it if it is short. Raises
+        ProgramNameError, GcodeError, PlanError, RefusedError.
         """
         program, checked = await self._load(name, line=line, speed=speed)
         program.close()

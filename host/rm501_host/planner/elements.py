@@ -173,7 +173,9 @@ class ElementTable:
 
 
 def line(space: Space, start: Array, end: Array, length: float, source: Source) -> Element:
-    """The straight line from `start` to `end`, each (5,), over `length` of the parameter."""
+    """The straight line from `start` to `end`, each (5,), mm and deg or deg, over `length` of the
+    parameter (mm; deg where only angles move).
+    """
     coefficients = np.zeros((4, 5))
     coefficients[0] = start
     coefficients[1] = (end - start) / length

@@ -52,7 +52,9 @@ class PathLaw:
     def from_speeds(
         cls, arm: Arm, table: ElementTable, element: Indices, start: Array, stop: Array, x: Array
     ) -> PathLaw:
-        """The law whose squared path speeds at the grid points are `x` (n + 1,)."""
+        """The law whose squared path speeds at the grid points are `x` (n + 1,), (mm or deg)^2/s^2; its n intervals
+        go from `start` to `stop` (n,) of the parameter of their `element`.
+        """
         speed = np.sqrt(x)
         durations = 2.0 * (stop - start) / (speed[:-1] + speed[1:])
         time_s = np.concatenate((np.zeros(1), np.cumsum(durations)))

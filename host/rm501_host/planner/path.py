@@ -73,7 +73,7 @@ class PathBuilder:
         return self._joint_line(np.array(result.best.q_deg), move.source)
 
     def joint(self, move: JointMove) -> Element | None:
-        """M110, M111; None when it does not move."""
+        """M110, M111; None when it does not move. Raises JointLimitError."""
         target = self.q_deg.copy()
         target[move.joint] = move.angle_deg + (target[move.joint] if move.relative else 0.0)
         low, high = self.arm.limits_deg
@@ -235,6 +235,7 @@ def with_feed(element: Element, feed: Feed) -> Element:
     """The element under its programmed feed (RS274 G93, G94).
 
     mm/min along x, y, z; deg/min along A, B where x, y, z do not move; in inverse time the whole move takes 1/F min.
+    Raises PlanError without a feed.
     """
     if not feed.value > 0.0:
         raise PlanError("a feed move without a feed", source=element.source, remedy="set F above 0")
