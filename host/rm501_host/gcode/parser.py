@@ -177,6 +177,10 @@ def _read_item(reader: ExpressionReader, block: Block) -> None:
         raise GcodeUnsupportedError(
             f"{letter.upper()} word: the arm has no {letter.upper()} axis", "Use X Y Z A B C.", offset=start
         )
+    elif "\udc80" <= letter <= "\udcff":  # how a byte that is not UTF-8 is kept
+        raise reader.fail(
+            f"byte 0x{ord(letter) - 0xDC00:02x} is not text (UTF-8)", "Outside comments a program is plain ASCII text."
+        )
     else:
         raise reader.fail(f"bad character {letter!r} used", "Words are a letter and a value, as X10.5.")
 

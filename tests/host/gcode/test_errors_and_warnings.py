@@ -33,6 +33,7 @@ CASES: list[tuple[str, type[GcodeError], int, int | None, str]] = [
     ("#<abcd>=1\nG0 X#<abce>\nM2", GcodeParameterError, 2, 6, "not defined"),
     ("G2 X10 R1 F5\nM2", GcodeGeometryError, 1, None, "too small"),
     ("G0 X1\no5 endwhile\nM2", GcodeFlowError, 2, None, "endwhile"),
+    ("G0 X1\nG0 \udc89Y2\nM2", GcodeSyntaxError, 2, None, "p.ngc:2:4: byte 0x89 is not text"),
     ("G41 D1\nM2", GcodeUnsupportedError, 1, 1, "Cutter compensation"),
     ("G0 U4\nM2", GcodeUnsupportedError, 1, 4, "no U axis"),
     ("M150\nM2", GcodeUnsupportedError, 1, None, "M150"),
