@@ -31,7 +31,7 @@ from .outputs import Place, output_events
 from .pieces import PieceEvent
 from .timelaw import IntervalLines, fastest_speeds
 
-_PROBE_S = 1e-3
+PROBE_S = 1e-3
 _MARGIN = 1e-6
 _ROUNDS = 24
 _CLOSE = 1.01
@@ -208,12 +208,17 @@ class JerkLaw:
         """None: accelerations are continuous."""
         return np.zeros(0), np.zeros(0)
 
-    def slowdowns(self, limits: Limits, first_s: float = 0.0) -> tuple[Array, Array]:
+    def slowdowns(self, limits: Limits, first_s: float = 0.0, anchor_s: float | None = None) -> tuple[Array, Array]:
         """Times (n,), and how much slower the law would have to be there for every limit to hold (n,): the ratio of
-        rates, the square root of that of accelerations, the cube root of that of jerks.
+        rates, the square root of that of accelerations, the cube root of that of jerks. From `first_s` on; with
+        `anchor_s` at whole milliseconds from that.
         """
-        count = max(32, int((self.duration_s - first_s) / _PROBE_S))
-        times = np.linspace(first_s, self.duration_s, count + 1)
+        if anchor_s is None:
+            count = max(32, int((self.duration_s - first_s) / PROBE_S))
+            times = np.linspace(first_s, self.duration_s, count + 1)
+        else:
+            low, high = np.floor((first_s - anchor_s) / PROBE_S), np.ceil((self.duration_s - anchor_s) / PROBE_S)
+            times = anchor_s + PROBE_S * np.arange(low, high + 1.0)
         way, v, u = self._path(times)
         index, s = self._place(way)
         points = path_points(self.base.arm, self.base.table, index, s)

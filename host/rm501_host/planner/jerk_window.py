@@ -8,7 +8,8 @@ for the last 3 w, which are kept so that limits that are violated beyond can sti
 Where the average breaks a limit, the base law is slowed down: at first by caps on its speed, and once little is
 missing by taking from its accelerations too, in the intervals over which the average was taken, until all is legal.
 Nothing is committed before that, so what is committed can always be followed by the stop that was planned with it:
-should no legal law be found later, the arm comes to rest there and starts anew.
+should no legal law be found that leaves it at once, one is looked for that follows it a while. Only when there is none
+either, the arm comes to rest there and starts anew.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from rm501_host.kinematics import Arm
 from .elements import Array, Element, ElementTable, Indices
 from .geometry import path_points
 from .grid import Grid, GridBuilder
-from .jerk import JerkLaw, window_of
+from .jerk import PROBE_S, JerkLaw, window_of
 from .law import PathLaw
 from .limits import Limits
 from .outputs import Place
@@ -34,11 +35,14 @@ _FIRST_CAP = 1.4
 _LEGAL = 1.0004
 """Of what `slowdowns` gives, which holds 0.05 % and more in reserve."""
 _GENTLE = 0.4
-_ROUNDS = 40
+_ROUNDS = 20
+"""Where a law is found it takes 2 to 9."""
 _FINE = 1.03
 """From here on accelerations are lowered too; caps alone do not make the last per cents."""
 _OVER = 1.0005
 """How much more than needed is taken, so that it comes to an end."""
+_FOLLOWED = (0.25, 0.5, 0.75, 1.0)
+"""Shares of the time that the known stop takes, after which it is left when nothing better is found."""
 _KEPT_WINDOWS = 3.0
 _PROBED_BEFORE_S = 4e-3
 """Limits are probed from here before what is committed: jerks are differences."""
@@ -87,13 +91,13 @@ class JerkWindow:
         limits: Limits,
         frame_s: float,
         *,
-        most_intervals: int = MOST_INTERVALS,
+        most_intervals: int | None = None,
     ) -> None:
         self._arm = arm
         self._limits = limits
         self._frame_s = frame_s
         self._builder = builder
-        self._most = most_intervals
+        self._most = MOST_INTERVALS if most_intervals is None else most_intervals
         self._window_s = window_of(limits)
         self._window = Window(arm, builder, frame_s)
         self._past: _Past | None = None
@@ -104,6 +108,8 @@ class JerkWindow:
         self._grid: Grid | None = None
         self._known: _KnownStop | None = None
         self._is_fresh = False
+        # laws are probed at the same instants again and again: what was found legal must not look otherwise later
+        self._anchor_s = 0.0
         self.emergency_stops = 0
         """How often no legal law was found beyond what was planned already."""
 
@@ -149,7 +155,7 @@ class JerkWindow:
         if grid is None or not self._is_fresh or len(grid) < 2 * _LEAST_COMMITTED:
             return None
         self._is_fresh = False
-        solved = self._solve() or self._solve_gently()
+        solved = self._solve() or self._solve_gently() or self._solve_from_known_stop()
         if solved is None:
             return self._give_up()
         squared, law, begin = solved
@@ -159,10 +165,11 @@ class JerkWindow:
         hopeful = forward_pass(lines, float(squared[0]), backward_pass(lines, float(lines.y_cap[-1])))
         apart = np.flatnonzero(np.abs(hopeful - careful) > 1e-9 * (hopeful + 1e-30))
         settled = int(apart[0]) - 1 if len(apart) else len(grid) - 1
-        if settled <= _LEAST_COMMITTED and len(grid) >= self._most:
-            settled = len(grid) // 2
         times = law.base.time_s[begin:]
         count = int(np.searchsorted(times, times[max(0, settled)] - _KEPT_WINDOWS * self._window_s, side="right")) - 1
+        if count < _LEAST_COMMITTED and len(grid) >= self._most:
+            # whatever is committed can be followed by its stop: the window need not grow for more
+            settled = count = len(grid) // 2
         if count < _LEAST_COMMITTED:
             # the slowing down that was found behind what is settled belongs to a stop that may not come
             self._forget_slowing(settled, times)
@@ -181,7 +188,7 @@ class JerkWindow:
             return None
         if self._past is None:
             return self._whole(grid)
-        solved = self._solve() or self._solve_gently()
+        solved = self._solve() or self._solve_gently() or self._solve_from_known_stop()
         if solved is None:
             return self._give_up()
         _, law, begin = solved
@@ -191,15 +198,20 @@ class JerkWindow:
 
     # ------------------------------------------------------------------------------------------------ the base law
 
-    def _solve(self) -> tuple[Array, JerkLaw, int] | None:
+    def _solve(self, followed: int = 0) -> tuple[Array, JerkLaw, int] | None:
         """The base law from where it is committed to rest at the end, slowed down until its average is legal: squared
-        speeds (n + 1,), the whole average, number of intervals of the past in it. None when there is none.
+        speeds (n + 1,), the whole average, number of intervals of the past in it. None when there is none. The first
+        `followed` intervals are passed as by the stop that is known.
         """
         grid, past = self._grid, self._past
         assert grid is not None
         first_x = 0.0 if past is None else float(past.squared[-1])
         for _ in range(_ROUNDS):
             lines = _slowed(grid.lines, self._scale, self._cap)
+            if followed and self._known is not None:
+                caps = lines.y_cap.copy()
+                caps[:followed] = np.minimum(caps[:followed], self._known.squared[1 : followed + 1])
+                lines = replace(lines, y_cap=caps)
             reach = backward_pass(lines, 0.0)
             if reach[0] < first_x * (1.0 - 1e-9):
                 return None
@@ -207,7 +219,7 @@ class JerkWindow:
             squared[-1] = 0.0
             law, begin = self._average(squared)
             from_s = float(law.base.time_s[begin]) if begin else 0.0
-            times, ratios = law.slowdowns(self._limits, max(0.0, from_s - _PROBED_BEFORE_S))
+            times, ratios = law.slowdowns(self._limits, max(0.0, from_s - _PROBED_BEFORE_S), self._anchor_s)
             if ratios.max() <= _LEGAL:
                 return squared, law, begin
             self._slow_down(law, begin, times, ratios)
@@ -219,6 +231,24 @@ class JerkWindow:
         self._cap = _GENTLE * self._first_cap
         self._keep_known_stop()
         return self._solve()
+
+    def _solve_from_known_stop(self) -> tuple[Array, JerkLaw, int] | None:
+        """A law that leaves the stop that is known only farther on, the later the better its chances: in the end where
+        the base law rests for an instant, from where it may go on as slowly as it has to.
+        """
+        grid, known = self._grid, self._known
+        if grid is None or known is None:
+            return None
+        speeds = np.sqrt(known.squared)
+        times = np.cumsum(2.0 * grid.lines.length[: len(speeds) - 1] / (speeds[:-1] + speeds[1:]))
+        for share in _FOLLOWED:
+            self._scale = np.ones(len(self._scale))
+            self._cap = _GENTLE * self._first_cap
+            self._keep_known_stop()
+            solved = self._solve(int(np.searchsorted(times, share * times[-1], side="right")))
+            if solved is not None:
+                return solved
+        return None
 
     def _average(self, squared: Array) -> tuple[JerkLaw, int]:
         """The average of the past and these speeds (n + 1,) behind it, and how many intervals are the past's."""
@@ -318,6 +348,7 @@ class JerkWindow:
         low = max(0, int(np.searchsorted(base.time_s, end_s - needed_s, side="right")) - 3)
         element, last = int(base.element[low]), int(base.element[now - 1])
         place = _place(law, end_s)
+        self._anchor_s = (self._anchor_s - float(base.time_s[low])) % PROBE_S
         self._past = _Past(
             base.table.elements[element : last + 1],
             base.element[low:now] - element,
@@ -339,6 +370,7 @@ class JerkWindow:
 
     def _clear(self) -> None:
         self._grid, self._elements, self._past, self._known = None, [], None, None
+        self._anchor_s = 0.0
         self._scale, self._cap, self._first_cap = np.zeros(0), np.zeros(0), np.zeros(0)
 
     def _whole(self, grid: Grid) -> JerkStretch:
@@ -369,7 +401,7 @@ class JerkWindow:
         law, begin = self._average(squared)
         stretch = self._part(law, begin, None)
         self._elements, self._scale = rest
-        self._past, self._known = None, None
+        self._past, self._known, self._anchor_s = None, None, 0.0
         if count >= len(whole):
             self._clear()
         else:

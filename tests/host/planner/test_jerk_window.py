@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+import rm501_host.planner.jerk_window as jerk_window_module
 import rm501_host.planner.planner as planner_module
 from rm501_host.config import load_config
 from rm501_host.kinematics import Arm
@@ -81,18 +82,46 @@ def test_windows_are_legal_and_hardly_slower_than_the_whole(monkeypatch: pytest.
     assert played.largest_speed_jump_steps_s <= 0.2
 
 
-def test_where_no_legal_law_is_found_the_arm_stops_as_planned_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def failing(monkeypatch: pytest.MonkeyPatch, *, with_known_stop: bool) -> None:
+    """Every fourth search for a law that leaves the known stop at once finds none; nor do others, if told so."""
     calls = 0
     solve = JerkWindow._solve
 
-    def sometimes(self: JerkWindow) -> object:
+    def sometimes(self: JerkWindow, followed: int = 0) -> object:
         nonlocal calls
-        calls += 1
-        return None if calls % 4 == 3 else solve(self)
+        calls += not followed
+        return None if calls % 4 == 3 and not followed else solve(self, followed)
 
     monkeypatch.setattr(JerkWindow, "_solve", sometimes)
     monkeypatch.setattr(JerkWindow, "_solve_gently", lambda self: None)
+    if not with_known_stop:
+        monkeypatch.setattr(JerkWindow, "_solve_from_known_stop", lambda self: None)
+
+
+def test_where_no_legal_law_is_found_the_arm_stops_as_planned_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(monkeypatch, with_known_stop=False)
     plan = streamed(monkeypatch, 32)
     assert sum(piece.ends_at_rest for piece in plan.pieces) > 1
     check_legal(plan)
     assert sum(len(piece.events) for piece in plan.pieces) == 3
+
+
+@pytest.mark.parametrize("shares", [(0.25, 0.5, 0.75, 1.0), (1.0,)])
+def test_the_known_stop_is_followed_a_while_where_it_cannot_be_left_at_once(
+    monkeypatch: pytest.MonkeyPatch, shares: tuple[float, ...]
+) -> None:
+    failing(monkeypatch, with_known_stop=True)
+    monkeypatch.setattr(jerk_window_module, "_FOLLOWED", shares)
+    plan = streamed(monkeypatch, 32)
+    assert [piece.ends_at_rest for piece in plan.pieces] == [False] * (len(plan.pieces) - 1) + [True]
+    check_legal(plan)
+    assert sum(len(piece.events) for piece in plan.pieces) == 3
+
+
+def test_a_window_that_has_grown_to_its_bound_yields_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jerk_window_module, "MOST_INTERVALS", 500)
+    monkeypatch.setattr(jerk_window_module, "_KEPT_WINDOWS", 1e3)
+    plan = streamed(monkeypatch, 32)
+    assert len(plan.pieces) > 2
+    assert [piece.ends_at_rest for piece in plan.pieces] == [False] * (len(plan.pieces) - 1) + [True]
+    check_legal(plan)
