@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 from rm501_host.config import Config
 from rm501_host.errors import RefusedError
-from rm501_host.planner import EventKind, Piece, plan_run_back
+from rm501_host.planner import EventKind, Piece, PieceEvent, plan_run_back
 from rm501_host.planner.law import PathLaw
 from rm501_host.planner.respeed import Lead, Place, Respeed, Respeeded, place_at, plan_time
 from rm501_host.planner.run_back import KEPT_S
@@ -287,9 +287,7 @@ class LivePath:
         for _, piece in self._source.known():
             for event in piece.events:
                 if first_s - _SAME_S <= piece.start_s + event.offset_s < last_s - _SAME_S:
-                    what = f"outputs {event.mask:#x} to {event.levels:#x}"
-                    if event.kind is EventKind.HAND:
-                        what = "hand opens" if event.value > 0 else "hand closes"
+                    what = _in_words(event)
                     found.append(what if event.source is None else f"{what} (line {event.source.line})")
         return tuple(found)
 
@@ -310,3 +308,10 @@ class LivePath:
 
     def _time_in(self, planned: PlannedSegment) -> float:
         return (planned.start_frame - planned.piece_start_frame) * self._frame_s
+
+
+def _in_words(event: PieceEvent) -> str:
+    if event.kind is EventKind.HAND:
+        return "hand opens" if event.value > 0 else "hand closes"
+    numbers = (number for number in range(event.mask.bit_length()) if event.mask >> number & 1)
+    return ", ".join(f"output {number} {'on' if event.levels >> number & 1 else 'off'}" for number in numbers)

@@ -9,27 +9,33 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rm501_host.config import load_config
 from rm501_host.errors import RefusedError, StoppedError
 from rm501_host.kinematics import Arm
 from rm501_host.machine import MachineState, operations
-from rm501_host.motion import LivePath
+from rm501_host.motion import LivePath, Missed
 from rm501_host.planner import Planner
 from rm501_host.planner.run_back import KEPT_S
 from rm501_host.virtual_time import run_virtual
+from rm501_protocol.board_config import output_bit
 from rm501_protocol.messages import MotionEnded, Refused, Truncate, Truncated
 from rm501_protocol.transport import Receiver, Transport
 from tests.host.planner.programs import PICK_START_DEG, pick_and_place
 from tests.support.live_cell import LiveCell, Reference, judge, live_cell, played, trial, undisturbed, until
+from tests.support.plan_checker import motor_matrix, tool_positions
 from tests.support.virtual_machine import ME, OTHER
 
+Array = NDArray[np.float64]
 
-def in_cell(folder: Path, scenario: Callable[[LiveCell, Reference], Any], **options: Any) -> None:
+
+def in_cell(folder: Path, scenario: Callable[[LiveCell, Reference], Any], runs: int = 2, **options: Any) -> None:
     async def main() -> None:
         async with live_cell(folder, **options) as cell:
-            await scenario(cell, await undisturbed(cell))
+            await scenario(cell, await undisturbed(cell, runs))
 
     run_virtual(main())
 
@@ -51,12 +57,12 @@ def test_the_override_changes_at_random_instants(tmp_path: Path) -> None:
     async def scenario(cell: LiveCell, reference: Reference) -> None:
         rng = random.Random(1)
         instants = cuts = 0
-        while instants < 50:
+        while instants < 25:
             run = await trial(cell, reference, rng, backs=False, most_acts=40)
             assert not run.wrong, run
             instants += len(run.acts)
             cuts += run.cuts
-        assert cuts >= 3
+        assert cuts >= 2
 
     in_cell(tmp_path, scenario)
 
@@ -65,7 +71,7 @@ def test_the_arm_runs_back_from_random_instants(tmp_path: Path) -> None:
     async def scenario(cell: LiveCell, reference: Reference) -> None:
         rng = random.Random(4)
         backs = 0
-        while backs < 8:
+        while backs < 4:
             run = await trial(cell, reference, rng, backs=True, most_acts=12)
             assert not run.wrong, run
             backs += sum("back" in act for act in run.acts)
@@ -99,6 +105,92 @@ def test_twice_the_feed_in_mid_program_takes_between_half_and_all_of_the_time(tm
         assert scales == [2.0, 1.0] * 2
 
     in_cell(tmp_path, scenario)
+
+
+def test_outputs_on_the_way_keep_their_places_through_overrides_and_running_back(tmp_path: Path) -> None:
+    """M62 and M63: where the tip is at the edges of the pin, whatever the law; going forward makes no new edge."""
+    base = load_config()
+    config = msgspec.structs.replace(base, board=msgspec.structs.replace(base.board, digital_outputs=("0.1",)))
+    program = (
+        "G21 G90 G94 G64 P2 F1200\nG0 X280 Y-40 Z250 A0 B0\nG1 X320\nM62 P0\nG1 Y0\nM63 P0\nG1 X280\nG1 Y-40\nM2\n"
+    )
+
+    def edges_mm(cell: LiveCell, first_frame: int) -> list[tuple[int, Array]]:
+        """The pin's new level, and the tip's place then."""
+        periods = len(config.board.table)
+        begin, words = cell.emulator.recording.words(first_frame * periods)
+        levels = ((words >> output_bit(0, 1)) & 1).astype(np.int8)
+        at = np.flatnonzero(np.diff(levels)) + 1
+        steps = cell.emulator.recording.positions_steps((begin + at) // periods)
+        q_deg = np.linalg.solve(motor_matrix(config), steps[:, :5].T.astype(np.float64)).T
+        return list(zip(levels[at].tolist(), tool_positions(config, q_deg), strict=True))
+
+    async def scenario(cell: LiveCell, _: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        found = []
+        for when_s, back_s in ((0.0, 0.0), (1.2, 0.0), (2.0, 2.5)):
+            first_frame = cell.frames()
+            with played() as log:
+                job = await programs.run(ME, "live.ngc")
+                if when_s:
+                    await asyncio.sleep(when_s)
+                    await machine.set_override(2.0, ME)
+                if back_s:
+                    await held(cell, 0.7)
+                    way = await programs.run_back(ME, back_s)
+                    assert way.repeats == ("output 0 on (line 4)",)
+                    await went_back(cell)
+                    assert "going forward repeats: output 0 on (line 4)" in machine.messages[-1]
+                    await machine.resume(ME)
+                await job.wait()
+            assert (log.cuts > 0) == (when_s > 0.0)
+            await machine.set_override(1.0, ME)
+            found.append(edges_mm(cell, first_frame))
+        assert [[level for level, _ in edges] for edges in found] == [[0, 1]] * 3, "on and off, the pin is inverted"
+        for edges in found[1:]:
+            for (_, place), (_, expected) in zip(edges, found[0], strict=True):
+                assert np.linalg.norm(place - expected) < 0.6, "two steps"
+
+    in_cell(tmp_path, scenario, 1, config=config, program=program)
+
+
+def test_what_did_not_become_faster_is_told_and_tried_again_once_the_wish_changes() -> None:
+    config = load_config()
+    pieces = tuple(Planner(Arm.from_config(config), config, PICK_START_DEG).plan(pick_and_place(2800.0, 2.0)))
+    missed: list[Missed] = []
+    live = LivePath(config, missed.append)
+    live.begin(pieces)
+    live.scale = 2.0
+    for for_good in (False, False, False, True):
+        assert live.is_respeed_wanted
+        live.discard("too late", for_good=for_good)
+    assert missed == [Missed(2.0, "too late", False)] * 3 + [Missed(2.0, "too late", True)]
+    live.scale = 2.0
+    assert not live.is_respeed_wanted
+    live.scale = 1.8
+    assert live.is_respeed_wanted
+    live.scale = 1.0
+    assert not live.is_respeed_wanted
+
+
+def test_an_override_that_never_takes_over_is_logged_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        job = await programs.run(ME, "live.ngc")
+        await asyncio.sleep(3.0)
+        # as if planning had always taken too long
+        monkeypatch.setattr("rm501_host.motion.play.earliest_cut", lambda *_: None)
+        await machine.set_override(2.0, ME)
+        await until(lambda: bool(machine.messages))
+        assert "override 200% waits for the next stop of the path" in machine.messages[-1]
+        assert "change the override to try again" in machine.messages[-1]
+        misses = [record.data["for_good"] for record in machine.log.ring if record.kind == "override_missed"]
+        assert misses == [False, False, False, True]
+        await job.wait()
+        assert machine.stream is not None
+        assert machine.stream.positions_steps[:5] == reference.steps[:5]
+
+    in_cell(tmp_path, scenario, 1)
 
 
 class SlowLine:
@@ -168,7 +260,7 @@ def test_a_cut_that_comes_too_late_changes_nothing_and_is_tried_again(tmp_path: 
 
     base = load_config()
     planner = msgspec.structs.replace(base.planner, stall_budget_s=0.05)
-    in_cell(tmp_path, scenario, on_transport=slowed, config=msgspec.structs.replace(base, planner=planner))
+    in_cell(tmp_path, scenario, 1, on_transport=slowed, config=msgspec.structs.replace(base, planner=planner))
 
 
 def test_back_and_forward_again_with_the_hand_and_the_progress_told(tmp_path: Path) -> None:
@@ -205,7 +297,7 @@ def test_back_and_forward_again_with_the_hand_and_the_progress_told(tmp_path: Pa
         assert machine.stream is not None
         assert machine.stream.positions_steps[:5] == reference.steps[:5]
 
-    in_cell(tmp_path, scenario)
+    in_cell(tmp_path, scenario, 1)
 
 
 def test_a_program_that_pauses_is_run_back_and_comes_forward_to_its_pause(tmp_path: Path) -> None:
@@ -230,7 +322,7 @@ def test_a_program_that_pauses_is_run_back_and_comes_forward_to_its_pause(tmp_pa
 
 
 def test_running_back_is_refused_without_a_program_by_others_and_after_an_abort(tmp_path: Path) -> None:
-    async def scenario(cell: LiveCell, reference: Reference) -> None:
+    async def scenario(cell: LiveCell) -> None:
         machine, programs = cell.service.machine, cell.service.programs
         with pytest.raises(RefusedError, match="no program is under way"):
             await programs.run_back(ME, 1.0)
@@ -241,7 +333,7 @@ def test_running_back_is_refused_without_a_program_by_others_and_after_an_abort(
         await machine.resume(ME)
         await move.wait()
         job = await programs.run(ME, "live.ngc")
-        await held(cell, 4.0)
+        await held(cell, 2.5)
         machine.lease.take(ME)
         with pytest.raises(RefusedError):
             await programs.run_back(OTHER, 1.0)
@@ -253,13 +345,17 @@ def test_running_back_is_refused_without_a_program_by_others_and_after_an_abort(
         assert machine.state is MachineState.IDLE
         assert machine.arm_state.homed == (True,) * 5
 
-    in_cell(tmp_path, scenario)
+    async def main() -> None:
+        async with live_cell(tmp_path) as cell:
+            await scenario(cell)
+
+    run_virtual(main())
 
 
 def test_a_jerk_limited_program_runs_back_and_gets_faster_from_its_next_rest(tmp_path: Path) -> None:
     base = load_config()
     config = msgspec.structs.replace(base, planner=msgspec.structs.replace(base.planner, jerk_limited=True))
-    program = "G21 G90 G94\nG61.1\nG0 X270 Y0 Z250 A0 B0\nG1 Y30 F900\nG1 Y-30\nG1 Y0\nM2\n"
+    program = "G21 G90 G94\nG61.1\nG0 X270 Y0 Z250 A0 B0\nG1 Y20 F900\nG1 Y-20\nG1 Y0\nM2\n"
 
     async def scenario(cell: LiveCell, reference: Reference) -> None:
         machine, programs = cell.service.machine, cell.service.programs
@@ -274,14 +370,15 @@ def test_a_jerk_limited_program_runs_back_and_gets_faster_from_its_next_rest(tmp
             await machine.set_override(2.0, ME)
             began_s = loop.time()
             await job.wait()
-        assert loop.time() - began_s < reference.duration_s - 2.0
+        assert loop.time() - began_s < reference.duration_s - 1.0
+        assert 2.0 in [record.data["new"] for record in machine.log.ring if record.kind == "plan_scale"]
         ratios = judge(cell.config, log.segments)
         assert max(ratios.velocity, ratios.acceleration) <= 1.02
         assert ratios.jump_steps_s < 0.5
         assert machine.stream is not None
         assert machine.stream.positions_steps == reference.steps
 
-    in_cell(tmp_path, scenario, config=config, program=program)
+    in_cell(tmp_path, scenario, 1, config=config, program=program)
 
 
 def test_the_plan_itself_is_played_while_nobody_wants_more_than_100_percent() -> None:
