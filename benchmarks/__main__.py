@@ -15,6 +15,7 @@ SHORT: dict[str, tuple[str, ...]] = {
     "kinematics": ("--n", "1e4", "--no-passages"),
     "interpreter": ("--n", "1e4", "--memory-lines", "1e5"),
     "planner": (),
+    "overshoot": ("--program", "waist by 60 deg"),
     "backlash": ("--no-emulator",),
     "live_path": ("--n", "10"),
     "clock_sync": ("--n", "2000"),

@@ -1,6 +1,6 @@
 """Cycle time against overshoot at the tool, with and without the jerk limit, on the emulator's `real` arm.
 
-    python -m benchmarks.overshoot [--jerk SCALE ...]
+    python -m benchmarks.overshoot [--jerk SCALE ...] [--program NAME]
 
 Each program runs on the emulated board and arm (dynamics, friction, backlash, an arm that differs from its drawing);
 what is measured is the true tool tip at every stop of a second after a motion: how far it goes beyond where it comes to
@@ -11,6 +11,7 @@ of that rest. `--jerk`: scales of the configured max_jerk_deg_s3 to try (default
 from __future__ import annotations
 
 import argparse
+import json
 import random
 import sys
 import tempfile
@@ -31,6 +32,7 @@ from .emulator_accuracy import _Silent
 REST_S = 1.0
 BAND_MM = 0.5
 ARRIVAL_S = 0.05
+SAVED_S = 2e-3
 HEAD = ["G21 G90 G94"]
 POLYLINE = ((340, -100), (340, -30), (310, -30), (310, 30), (340, 30), (340, 100), (280, 100))
 
@@ -141,23 +143,16 @@ def soft(config: Config, scale: float) -> Config:
     )
 
 
-def draw(path: Path, found: list[tuple[str, Stops]]) -> None:
-    """The tool's way along the direction of arrival around the worst stop of each law."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(9, 4))
-    for law, stops in found:
-        times = (np.arange(len(stops.worst_beyond_mm)) * stops.sample_s - ARRIVAL_S) * 1e3
-        axes.plot(times, stops.worst_beyond_mm, lw=1.2, label=f"{law}: {stops.motion_s:.2f} s of motion")
-    axes.axhline(0.0, color="k", lw=0.5)
-    axes.set(xlim=(-ARRIVAL_S * 1e3, 400), ylim=(-2.0, 1.2), xlabel="ms after the end of the commanded motion")
-    axes.set(ylabel="mm beyond the rest", title="Pick and place F6000, the stop with the largest overshoot")
-    axes.legend(fontsize=8)
-    figure.tight_layout()
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+def save(path: Path, found: list[tuple[str, Stops]]) -> None:
+    """What docs/figures/overshoot.py draws: per law the tool's way around its worst stop, every 2 ms, in um."""
+    rows = {
+        f"{law}: {stops.motion_s:.2f} s of motion": [
+            round(1e3 * stops.worst_beyond_mm[k])
+            for k in np.arange(0.0, len(stops.worst_beyond_mm) - 1, SAVED_S / stops.sample_s).astype(int).tolist()
+        ]
+        for law, stops in found
+    }
+    path.write_text(json.dumps({"first_ms": -1e3 * ARRIVAL_S, "step_ms": 1e3 * SAVED_S, "beyond_um": rows}) + "\n")
 
 
 def main() -> int:
@@ -165,7 +160,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--jerk", type=float, nargs="+", default=[1.0], help="scales of max_jerk_deg_s3")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--figure", type=Path, help="draw the worst stops of pick and place F6000 into this file")
+    parser.add_argument("--program", choices=PROGRAMS, action="append", help="default: all")
+    parser.add_argument("--save", type=Path, help="write the worst stops of pick and place F6000, for docs/figures")
     options = parser.parse_args()
     config = load_config()
     print(
@@ -174,8 +170,8 @@ def main() -> int:
     )
     better = True
     drawn: list[tuple[str, Stops]] = []
-    for name, rows in PROGRAMS.items():
-        worst = []
+    for name in options.program or PROGRAMS:
+        worst, rows = [], PROGRAMS[name]
         for law, used in (("time-optimal", config), *((f"jerk x {k:g}", soft(config, k)) for k in options.jerk)):
             found = measure(used, rows, options.seed)
             worst.append(max(found.overshoot_mm))
@@ -187,8 +183,8 @@ def main() -> int:
                 flush=True,
             )
         better &= min(worst[1:]) <= worst[0]
-    if options.figure is not None:
-        draw(options.figure, drawn)
+    if options.save is not None:
+        save(options.save, drawn)
     print("overshoot: lower with the jerk limit everywhere" if better else "overshoot: NOT lower with the jerk limit")
     return 0 if better else 1
 
