@@ -10,11 +10,13 @@ from typing import Any
 import pytest
 
 from rm501_host.config import load_config
-from rm501_host.errors import RefusedError, Rm501Error, StoppedError
+from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
 from rm501_host.machine import Machine, MachineState, operations
 from rm501_host.motion import MotionStream
+from rm501_host.session import LinkLostError
 from rm501_host.virtual_time import VirtualLoop, run_virtual
 from rm501_protocol.enums import BoardState
+from rm501_protocol.link_events import StopKind
 from rm501_sim_board.emu_transport import running_board, shut_down
 from tests.support.virtual_machine import ME, homed, running_service
 
@@ -82,6 +84,44 @@ def test_after_a_lost_link_trust_depends_on_the_boot(tmp_path: Path, fault: str,
                 await operations.home(machine, ME).wait()
             await operations.move_joints(machine, ME, NEXT).wait()
             assert machine.arm_state.joints_deg == pytest.approx(NEXT, abs=0.03)
+
+    virtual(scenario())
+
+
+def test_who_stops_or_holds_without_a_board_is_told_that_nobody_heard_it(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path, "emu://?preset=ideal&seed=1&fault=unplug@5s/4s") as service:
+            machine = service.machine
+            async with asyncio.timeout(20):
+                while machine.connected:  # noqa: ASYNC110
+                    await asyncio.sleep(0.05)
+            for kind in (StopKind.STOP, StopKind.KILL):
+                with pytest.raises(NoBoardError, match=f"{kind.name} was not delivered: .*holds a moving arm"):
+                    await machine.stop(ME, kind)
+            with pytest.raises(NoBoardError, match=r"nobody can be told to hold: .*holds a moving arm"):
+                await machine.hold(ME)
+            assert await machine.abort(ME) is False
+            assert "stop_not_delivered" in [record.kind for record in machine.log.ring]
+
+    virtual(scenario())
+
+
+def test_a_stop_and_a_hold_that_a_silent_board_has_not_acknowledged_say_so(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        url = f"emu://?preset=ideal&seed=1&fault=host-stall:ms=4500@{WHEN_S}s"
+        async with running_service(tmp_path, url) as service:
+            machine = service.machine
+            await homed(service)
+            job = await moving_at(machine, WHEN_S)
+            async with asyncio.timeout(5):
+                while not machine.link_silent:  # noqa: ASYNC110
+                    await asyncio.sleep(0.05)
+            with pytest.raises(LinkLostError, match=r"hold is on its way.*silent for a second.*holds a moving arm"):
+                await machine.hold(ME)
+            with pytest.raises(LinkLostError, match=r"STOP has not been acknowledged: .*holds a moving arm"):
+                await machine.stop(ME)
+            with pytest.raises(StoppedError):
+                await job.wait()
 
     virtual(scenario())
 
