@@ -105,49 +105,49 @@ _to_held = _do(_HELD)
 _to_stopping = _do(_STOPPING)
 _to_fault = _do(_FAULT)
 _on_again = _do(_RUNNING, _READY)
+_started = _do(_RUNNING, _HOLDING)
 _reset = _do(_IDLE, _READY, _BOOT)
 _stopped = _do(_IDLE, _READY, _FAULT)
 
+_S = Stimulus
+
 # fmt: off
 RULES: dict[Stimulus, tuple[Rule, ...]] = {
-    # BOOT       IDLE       READY        RUNNING       HOLDING       HELD        STOPPING   FAULT
-    Stimulus.SEGMENT:           (_config,   _power,    _to_running, do,           do,           do,         _state,
-    _fault), Stimulus.HOLD:              (skip,      skip,      _to_held,    _to_holding,  do,           do,
-    skip,      skip), Stimulus.RESUME:            (_config,   _state,    skip,        skip,         _to_running,
-    _on_again,  _state,    _fault), Stimulus.SET_OVERRIDE:      (_config,   do,        do,          _to_holding,
-    _to_running,  _on_again,  do,        do), Stimulus.TRUNCATE:          (_config,   do,        do,          do,
-    do,           _to_ready,  _state,    _fault), Stimulus.RESET:             (do,        do,        _state,
-    _state,       _state,       _state,     _state,    _reset), Stimulus.SET_POSITIONS:     (_config,   do,        do,
-    _rest,        _rest,        _rest,      _rest,     _fault), Stimulus.ARM_TRIGGER:       (_config,   do,        do,
-    _to_stopping, _to_stopping, _to_ready,  do,        do), Stimulus.DISARM_TRIGGER:    (_config,   do,        do,
-    do,           do,           do,         do,        do), Stimulus.SET_POWER:         (_config,   _to_ready,
-    _to_idle,    _rest,        _rest,        _to_idle,   _rest,     _fault), Stimulus.SET_OUTPUTS:       (_config,
-    do,        do,          do,           do,           do,         do,        _fault), Stimulus.LEASE:
-    (_config,   do,        do,          _to_stopping, _to_stopping, _to_ready,  do,        do), Stimulus.START:
-    (_config,   _power,    _do(_RUNNING, _HOLDING), skip, _state,   _state,     _state,    _fault),
-    Stimulus.SET_STATUS_PERIOD: (do,        do,        do,          do,           do,           do,         do,
-    do), Stimulus.CONFIG_PAGE:       (do,        do,        _state,      _state,       _state,       _state,
-    _state,    _fault), Stimulus.CONFIG_COMMIT:     (_to_idle,  do,        _state,      _state,       _state,
-    _state,     _state,    _fault), Stimulus.STATUS_REQUEST:    (do,        do,        do,          do,           do,
-    do,         do,        do), Stimulus.STOP:              (do,        do,        _to_idle,    _to_stopping,
-    _to_stopping, _to_idle,   do,        do), Stimulus.KILL:              (_to_fault, _to_fault, _to_fault,
-    _to_fault,    _to_fault,    _to_fault,  _to_fault, do), Stimulus.SESSION_OPENED:    (do,        do,        do,
-    _to_holding,  do,           do,         do,        do), Stimulus.LOW_WATER:         (bad,       bad,       bad,
-    _to_holding,  bad,          bad,        bad,       bad), Stimulus.RATE_ZERO:         (bad,       bad,       bad,
-    bad,          _to_held,     bad,        _stopped,  bad), Stimulus.DRAINED:           (bad,       bad,       bad,
-    _to_ready,    _to_held,     bad,        _stopped,  bad), Stimulus.UNDERRUN:          (bad,       bad,       bad,
-    _to_fault,    _to_fault,    bad,        _to_fault, bad), Stimulus.LINK_LOST:         (skip,      skip,      skip,
-    _to_holding,  do,           skip,       skip,      skip), Stimulus.LINK_IDLE:         (skip,      skip,
-    _to_idle,    skip,         skip,         _to_idle,   skip,      skip), Stimulus.LEASE_OVER:        (skip,
-    skip,      do,          _to_stopping, _to_stopping, _to_ready,  skip,      skip), Stimulus.TRIGGER_STOP:
-    (skip,      skip,      do,          _to_stopping, _to_stopping, _to_ready,  skip,      skip),
-    Stimulus.HOLD_BUTTON:       (skip,      skip,      _to_held,    _to_holding,  do,           do,         skip,
-    skip), Stimulus.CYCLE_START:       (skip,      skip,      skip,        skip,         _to_running,  _on_again,
-    skip,      skip), Stimulus.ESTOP:             (skip,      _to_fault, _to_fault,   _to_fault,    _to_fault,
-    _to_fault,  _to_fault, do), Stimulus.OVERFLOW:          (skip,      _to_fault, _to_fault,   _to_fault,
-    _to_fault,    _to_fault,  _to_fault, do), Stimulus.SOFT_FAULT:        (_to_fault, _to_fault, _to_fault,
-    _to_stopping, _to_stopping, _to_fault,  do,        do), Stimulus.HARD_FAULT:        (_to_fault, _to_fault,
-    _to_fault,   _to_fault,    _to_fault,    _to_fault,  _to_fault, do),
+    #                      BOOT       IDLE       READY        RUNNING       HOLDING       HELD       STOPPING   FAULT
+    _S.SEGMENT:           (_config,   _power,    _to_running, do,           do,           do,        _state,    _fault),
+    _S.HOLD:              (skip,      skip,      _to_held,    _to_holding,  do,           do,        skip,      skip),
+    _S.RESUME:            (_config,   _state,    skip,        skip,         _to_running,  _on_again, _state,    _fault),
+    _S.SET_OVERRIDE:      (_config,   do,        do,          _to_holding,  _to_running,  _on_again, do,        do),
+    _S.TRUNCATE:          (_config,   do,        do,          do,           do,           _to_ready, _state,    _fault),
+    _S.RESET:             (do,        do,        _state,      _state,       _state,       _state,    _state,    _reset),
+    _S.SET_POSITIONS:     (_config,   do,        do,          _rest,        _rest,        _rest,     _rest,     _fault),
+    _S.ARM_TRIGGER:       (_config,   do,        do,          _to_stopping, _to_stopping, _to_ready, do,        do),
+    _S.DISARM_TRIGGER:    (_config,   do,        do,          do,           do,           do,        do,        do),
+    _S.SET_POWER:         (_config,   _to_ready, _to_idle,    _rest,        _rest,        _to_idle,  _rest,     _fault),
+    _S.SET_OUTPUTS:       (_config,   do,        do,          do,           do,           do,        do,        _fault),
+    _S.LEASE:             (_config,   do,        do,          _to_stopping, _to_stopping, _to_ready, do,        do),
+    _S.START:             (_config,   _power,    _started,    skip,         _state,       _state,    _state,    _fault),
+    _S.SET_STATUS_PERIOD: (do,        do,        do,          do,           do,           do,        do,        do),
+    _S.CONFIG_PAGE:       (do,        do,        _state,      _state,       _state,       _state,    _state,    _fault),
+    _S.CONFIG_COMMIT:     (_to_idle,  do,        _state,      _state,       _state,       _state,    _state,    _fault),
+    _S.STATUS_REQUEST:    (do,        do,        do,          do,           do,           do,        do,        do),
+    _S.STOP:              (do,        do,        _to_idle,    _to_stopping, _to_stopping, _to_idle,  do,        do),
+    _S.KILL:              (_to_fault, _to_fault, _to_fault,   _to_fault,    _to_fault,    _to_fault, _to_fault, do),
+    _S.SESSION_OPENED:    (do,        do,        do,          _to_holding,  do,           do,        do,        do),
+    _S.LOW_WATER:         (bad,       bad,       bad,         _to_holding,  bad,          bad,       bad,       bad),
+    _S.RATE_ZERO:         (bad,       bad,       bad,         bad,          _to_held,     bad,       _stopped,  bad),
+    _S.DRAINED:           (bad,       bad,       bad,         _to_ready,    _to_held,     bad,       _stopped,  bad),
+    _S.UNDERRUN:          (bad,       bad,       bad,         _to_fault,    _to_fault,    bad,       _to_fault, bad),
+    _S.LINK_LOST:         (skip,      skip,      skip,        _to_holding,  do,           skip,      skip,      skip),
+    _S.LINK_IDLE:         (skip,      skip,      _to_idle,    skip,         skip,         _to_idle,  skip,      skip),
+    _S.LEASE_OVER:        (skip,      skip,      do,          _to_stopping, _to_stopping, _to_ready, skip,      skip),
+    _S.TRIGGER_STOP:      (skip,      skip,      do,          _to_stopping, _to_stopping, _to_ready, skip,      skip),
+    _S.HOLD_BUTTON:       (skip,      skip,      _to_held,    _to_holding,  do,           do,        skip,      skip),
+    _S.CYCLE_START:       (skip,      skip,      skip,        skip,         _to_running,  _on_again, skip,      skip),
+    _S.ESTOP:             (skip,      _to_fault, _to_fault,   _to_fault,    _to_fault,    _to_fault, _to_fault, do),
+    _S.OVERFLOW:          (skip,      _to_fault, _to_fault,   _to_fault,    _to_fault,    _to_fault, _to_fault, do),
+    _S.SOFT_FAULT:        (_to_fault, _to_fault, _to_fault,   _to_stopping, _to_stopping, _to_fault, do,        do),
+    _S.HARD_FAULT:        (_to_fault, _to_fault, _to_fault,   _to_fault,    _to_fault,    _to_fault, _to_fault, do),
 }
 # fmt: on
 
