@@ -34,6 +34,7 @@ from rm501_host.session import BoardRefusedError, BoardSession, LinkLostError
 from rm501_host.session.fault_words import describe_fault
 from rm501_protocol.declaration import Message
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause, SegmentFlag
+from rm501_protocol.faults import RefusalReason
 from rm501_protocol.messages import Hold, Resume, Start, Truncate
 from rm501_protocol.segment import MAX_LENGTH_FRAMES
 from rm501_protocol.segment_message import Segment
@@ -136,6 +137,7 @@ class Play:
             failure = self._session.failure
             if failure is not None:
                 raise failure
+            await self._begin_again_after_a_hold()
             if self._interrupted():
                 return None
             if self._break_off is not None and (halt := await self._try_break_off(self._break_off)) is not None:
@@ -151,7 +153,7 @@ class Play:
                 await asyncio.sleep(0)
             is_filled = self._is_exhausted and not self._waiting
             is_full = is_filled or self._room() <= 0
-            if not self._is_started and self._has_moved and is_full:
+            if not self._is_started and self._has_moved and is_full and not self._is_held():
                 if self._session.has_stalled:
                     raise StoppedError(_TOO_LATE)
                 self._session.post(Start())
@@ -166,6 +168,28 @@ class Play:
                 return None
             if is_full or self._cut is not None:
                 await asyncio.sleep(_POLL_S)
+
+    async def _begin_again_after_a_hold(self) -> None:
+        """A hold may meet the board before the start does, which it then refuses: the motion begins once somebody
+        resumes.
+        """
+        refused = self._reports.refused
+        if (
+            refused is None
+            or refused.message_id != Start.ID
+            or refused.reason is not RefusalReason.WRONG_STATE
+            or not self._options.someone_resumes
+            or self._reports.ended is not None
+        ):
+            return
+        status = await self._session.refresh_status()
+        if status.state in (BoardState.HELD, BoardState.READY) and self._reports.ended is None:
+            self._reports.refused = None
+            self._is_started = self._is_under_way = False
+
+    def _is_held(self) -> bool:
+        status = self._session.status
+        return status is not None and status.state is BoardState.HELD and self._options.someone_resumes
 
     def _hold_what_begins_late(self) -> None:
         """A start that is still on its way when the line falls silent would be obeyed whenever the line is back."""

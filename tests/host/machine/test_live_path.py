@@ -22,7 +22,7 @@ from rm501_host.planner import Planner
 from rm501_host.planner.run_back import KEPT_S
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.board_config import output_bit
-from rm501_protocol.messages import MotionEnded, Refused, Truncate, Truncated
+from rm501_protocol.messages import MotionEnded, Refused, Start, Truncate, Truncated
 from rm501_protocol.transport import Receiver, Transport
 from tests.host.planner.programs import PICK_START_DEG, pick_and_place
 from tests.support.live_cell import LiveCell, Reference, judge, live_cell, played, trial, undisturbed, until
@@ -391,3 +391,27 @@ def test_the_plan_itself_is_played_while_nobody_wants_more_than_100_percent() ->
         live.scale = scale
     assert all(a is b for a, b in zip(live, pieces, strict=True))
     assert not live.is_respeed_wanted
+
+
+def test_a_hold_that_comes_before_the_start_is_ended_by_resume(tmp_path: Path) -> None:
+    """The board is held before `Start` arrives and refuses it; the program begins when somebody resumes."""
+
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine = cell.service.machine
+        refused: list[Refused] = []
+        machine.session.add_listener(lambda notice: refused.append(notice) if isinstance(notice, Refused) else None)
+        for delay_s in (0.0, 0.02, 0.05):
+            job = await cell.service.programs.run(ME, "live.ngc")
+            await until(lambda: machine.state is MachineState.RUNNING)
+            await asyncio.sleep(delay_s)
+            await machine.hold(ME)
+            await until(lambda: machine.state is MachineState.HELD)
+            await asyncio.sleep(2.0)
+            assert machine.state is MachineState.HELD
+            assert machine.job is job
+            await machine.resume(ME)
+            await job.wait()
+            assert job.error is None
+        assert any(notice.message_id == Start.ID for notice in refused)
+
+    in_cell(tmp_path, scenario, runs=1)
