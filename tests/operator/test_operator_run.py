@@ -40,12 +40,15 @@ async def state(client: DaemonClient, **expected: object) -> dict[str, Any]:
 
 
 async def jog(client: DaemonClient, frame: str, axis: str, speed: float) -> None:
-    """Hold a key for half a second, let go, wait until the arm stands."""
+    """Hold a key until half a second after the arm began to move, let go, wait until the arm stands."""
     before = (await client.call("status"))["steps"]
     started = await client.call("jog.start", frame=frame, axis=axis, speed=speed)
-    for _ in range(8):
-        assert (await client.call("jog.keep", motion=started["motion"]))["moving"]
-        await asyncio.sleep(0.06)
+    moving_for = 0
+    async with asyncio.timeout(10):
+        while moving_for < 8:
+            assert (await client.call("jog.keep", motion=started["motion"]))["moving"]
+            moving_for += (await client.call("status"))["steps"] != before
+            await asyncio.sleep(0.06)
     await state(client, task_state="ON", run_state="RUNNING", activity="jog", mode="MANUAL")
     await client.call("jog.end")
     await client.wait(started)
