@@ -163,7 +163,10 @@ async def open_transport(url: str) -> EmuTransport:
         if not running.board.plugged:
             raise OSError(f"{url}: the emulated line is unplugged; put the plug back")
     else:
-        running = RunningBoard.power_up(options, asyncio.get_running_loop())
+        try:
+            running = RunningBoard.power_up(options, asyncio.get_running_loop())
+        except SimBoardError as error:
+            raise OSError(f"{url}: {error}") from error
         boards[key] = running
     return EmuTransport(running, key, bool(name))
 

@@ -74,7 +74,7 @@ class Parameter:
             raise FaultSpecError(f"fault {fault}: {self.name}={given!r} is not a number")
         low, high = _RANGES.get(self.name, _ANY)
         if not low <= number <= high:
-            raise FaultSpecError(f"fault {fault}: {self.name}={given}; choose {low:g} to {high:g} ({self.text})")
+            raise FaultSpecError(f"fault {fault}: {self.name}={given}; choose {low:.12g} to {high:.12g} ({self.text})")
         return number
 
 
