@@ -111,7 +111,6 @@ class Machine:
             self._link_down,
             self._notice,
         )
-        self._listeners: list[Callable[[], None]] = []
         self._aborting = False
         self._resets = asyncio.Lock()
 
@@ -185,10 +184,6 @@ class Machine:
     def set_status_period(self, wanted_ms: int) -> None:
         """How often the board is to tell its status while somebody watches; within 20 to 40 ms."""
         self._port.set_status_period(wanted_ms)
-
-    def on_change(self, listener: Callable[[], None]) -> None:
-        """Call `listener` whenever the state changed."""
-        self._listeners.append(listener)
 
     def write_log(self, kind: str, **data: object) -> None:
         """One record for the log and the black box."""
@@ -438,7 +433,6 @@ class Machine:
         self.write_log("motion_end", motion=job.id, what=job.kind.value, error=text)
         if self.connected:
             await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=False))
-        self._changed()
 
     def _abort_now(self, session: BoardSession) -> None:
         self._aborting = True
@@ -511,7 +505,6 @@ class Machine:
             self.cause = causes.STARTED
         if status.state is BoardState.FAULT:
             self.cause = causes.board_fault(FaultCode(status.fault))
-        self._changed()
 
     def _link_down(self, error: Rm501Error) -> None:
         was_up = self._port.session is not None
@@ -544,13 +537,10 @@ class Machine:
                 self.write_log("motion_ended", cause=notice.cause.name, motion_frame=notice.motion_frame)
             case LinkSilent(silent_us=silent_us):
                 self.write_log("link_silent", silent_us=silent_us)
-                self._changed()
             case LinkHeard(silent_us=silent_us):
                 self.write_log("link_heard", silent_us=silent_us)
-                self._changed()
             case LinkNoisy(bad_frames=bad_frames, frames=frames):
                 self.write_log("link_noisy", bad_frames=bad_frames, frames=frames)
-                self._changed()
             case _:
                 pass
 
@@ -599,7 +589,6 @@ class Machine:
             path = self.black_box.dump(reason)
             if path is not None:
                 self.write_log("black_box", path=str(path))
-        self._changed()
 
     def _apply(self, event: Event) -> None:
         before = self.state
@@ -611,11 +600,6 @@ class Machine:
             status = self.board_status
             if status is not None:
                 self.black_box.add("status", msgspec.json.encode(status, enc_hook=str))
-            self._changed()
-
-    def _changed(self) -> None:
-        for listener in self._listeners:
-            listener()
 
     def stopped_by_lease(self) -> bool:
         """Whether the newest end of motion was the end of a jog's lease."""

@@ -13,7 +13,7 @@ from rm501_host.planner.limits import Limits
 
 from .batch import BatchPoints
 from .collector import Collector
-from .findings import Finding, FindingKind, Severity
+from .findings import Finding, FindingKind, Severity, Via
 from .keep_out import KeepOut
 from .singular import singular_places
 from .via import suggest_via
@@ -115,20 +115,17 @@ class AlongCheck:
             in_task = not points.table.is_joint[number]
             source = points.sources[number]
             helps = in_task and self._found.is_new(source, FindingKind.JOINT_LIMIT)
-            self._found.add(
-                Finding(
-                    Severity.ERROR,
-                    FindingKind.JOINT_LIMIT,
-                    source,
-                    f"{JOINT_NAMES[joint]} would leave its range by up to {worst:.4g} deg (limit {limit:g} deg)",
-                    float(s[point]),
-                    tuple(float(v) for v in q_deg[point]),
-                    worst,
-                    "deg",
-                    "go there with a joint move (G0)" if in_task else "stay within the range",
-                    suggest_via(arm, points.start_deg[number], points.goal[number]) if helps else None,
-                ),
-                points.numbers[number],
+            self._add_at(
+                points,
+                point,
+                q_deg,
+                Severity.ERROR,
+                FindingKind.JOINT_LIMIT,
+                f"{JOINT_NAMES[joint]} would leave its range by up to {worst:.4g} deg (limit {limit:g} deg)",
+                worst,
+                "deg",
+                "go there with a joint move (G0)" if in_task else "stay within the range",
+                suggest_via(arm, points.start_deg[number], points.goal[number]) if helps else None,
             )
 
     def _singular(self, arm: Arm, points: BatchPoints, values: Array, q_deg: Array, q1: Array, bad: set[int]) -> None:
@@ -136,19 +133,16 @@ class AlongCheck:
             number = int(points.index[point])
             if number in bad:
                 continue
-            self._found.add(
-                Finding(
-                    Severity.ERROR,
-                    FindingKind.SINGULARITY,
-                    points.sources[number],
-                    "the path runs through a singularity, where the joints would have to jump",
-                    float(points.s[point]),
-                    tuple(float(v) for v in q_deg[point]),
-                    None,
-                    "",
-                    "pass it at a distance, or use a joint move (G0)",
-                ),
-                points.numbers[number],
+            self._add_at(
+                points,
+                point,
+                q_deg,
+                Severity.ERROR,
+                FindingKind.SINGULARITY,
+                "the path runs through a singularity, where the joints would have to jump",
+                None,
+                "",
+                "pass it at a distance, or use a joint move (G0)",
             )
 
     def _speeds(self, arm: Arm, points: BatchPoints, q_deg: Array, q1: Array, skip: Flags) -> None:
@@ -204,23 +198,39 @@ class AlongCheck:
                 ),
             )
 
+    def _add_at(
+        self,
+        points: BatchPoints,
+        point: int,
+        q_deg: Array,
+        severity: Severity,
+        kind: FindingKind,
+        text: str,
+        amount: float | None,
+        unit: str,
+        remedy: str,
+        via: Via | None = None,
+    ) -> None:
+        """A finding at one of the points, `q_deg` (n, 5) being the joints at all of them."""
+        number = int(points.index[point])
+        place, at_deg = float(points.s[point]), tuple(float(v) for v in q_deg[point])
+        source = points.sources[number]
+        finding = Finding(severity, kind, source, text, place, at_deg, amount, unit, remedy, via)
+        self._found.add(finding, points.numbers[number])
+
     def _near_singularity(
         self, points: BatchPoints, point: int, q_deg: Array, row: int, speed: float, share: float
     ) -> None:
-        number = int(points.index[point])
-        self._found.add(
-            Finding(
-                Severity.WARNING,
-                FindingKind.SINGULARITY,
-                points.sources[number],
-                f"near a singularity the {_name(row)} slows the tool down to {speed:.3g} mm/s, {share:.1%} of its feed",
-                float(points.s[point]),
-                tuple(float(v) for v in q_deg[point]),
-                speed,
-                "mm/s",
-                "keep the path away from full stretch and from the waist axis, or use a joint move (G0)",
-            ),
-            points.numbers[number],
+        self._add_at(
+            points,
+            point,
+            q_deg,
+            Severity.WARNING,
+            FindingKind.SINGULARITY,
+            f"near a singularity the {_name(row)} slows the tool down to {speed:.3g} mm/s, {share:.1%} of its feed",
+            speed,
+            "mm/s",
+            "keep the path away from full stretch and from the waist axis, or use a joint move (G0)",
         )
 
     def _places(self, arm: Arm, points: BatchPoints, q_deg: Array, missing: Flags, margin_mm: float) -> None:
@@ -229,20 +239,16 @@ class AlongCheck:
             arm, q_deg[reachable], points.index[reachable], margin_mm
         ):
             point = int(reachable[row])
-            number = int(points.index[point])
-            self._found.add(
-                Finding(
-                    Severity.ERROR,
-                    FindingKind.KEEP_OUT,
-                    points.sources[number],
-                    text,
-                    float(points.s[point]),
-                    tuple(float(v) for v in q_deg[point]),
-                    depth_mm,
-                    "mm",
-                    "go round it by way of another pose",
-                ),
-                points.numbers[number],
+            self._add_at(
+                points,
+                point,
+                q_deg,
+                Severity.ERROR,
+                FindingKind.KEEP_OUT,
+                text,
+                depth_mm,
+                "mm",
+                "go round it by way of another pose",
             )
 
 
