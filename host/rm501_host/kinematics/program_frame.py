@@ -13,7 +13,6 @@ With `configs/thesis.toml`, A0 B0 C0 is the tool straight down and C = q5 - q1.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians
 
 import numpy as np
 
@@ -112,13 +111,23 @@ def read_orientation_rows(
     gives the plane, and the approach is projected into it: whoever calls measures the residual, which is then the
     smallest that this tip allows.
     """
-    r5 = tool_rotations @ np.array(geometry.tilt).reshape(3, 3).T
+    return read_wrist_rows(
+        geometry, xyz_mm, tool_rotations @ np.array(geometry.tilt).reshape(3, 3).T, front, seed_waist_deg
+    )
+
+
+def read_wrist_rows(
+    geometry: ArmGeometry, xyz_mm: FloatArray, r5: FloatArray, front: bool, seed_waist_deg: FloatArray | float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As `read_orientation_rows`, of orientations (n, 3, 3) of frame 5, which the tool's tilt is left out of; the
+    seed one number or (n,).
+    """
     wrist = xyz_mm - r5 @ np.array(geometry.tcp_mm)
     ax, ay = r5[:, 0, 2], r5[:, 1, 2]
     waist = np.arctan2(wrist[:, 1], wrist[:, 0])
     unclear = np.hypot(wrist[:, 0], wrist[:, 1]) <= _AXIS_RADIUS_MM
     if unclear.any():
-        from_approach = np.where(np.hypot(ax, ay) > _APPROACH_SINE, np.arctan2(ay, ax), radians(seed_waist_deg))
+        from_approach = np.where(np.hypot(ax, ay) > _APPROACH_SINE, np.arctan2(ay, ax), np.radians(seed_waist_deg))
         waist = np.where(unclear, from_approach, waist)
     radius = xyz_mm[:, 0] * np.cos(waist) + xyz_mm[:, 1] * np.sin(waist)
     flip = (radius < -_FLIP_RADIUS_MM) if front else (radius > _FLIP_RADIUS_MM)

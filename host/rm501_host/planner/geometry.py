@@ -30,10 +30,11 @@ class PathPoints:
 def joints_along(arm: Arm, table: ElementTable, index: Indices, s: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Joint angles (n, 5) in deg at (element index, s), and whether the point can be reached, (n,)."""
     values, _, _ = table.evaluate(index, s)
-    return _inverse(arm, table, index, values)
+    return joints_at(arm, table, index, values)
 
 
-def _inverse(arm: Arm, table: ElementTable, index: Indices, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+def joints_at(arm: Arm, table: ElementTable, index: Indices, values: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """As `joints_along`, where what the elements are there, `values` (n, 5), is known already."""
     task = ~table.is_joint[index]
     ok = np.ones(len(values), dtype=bool)
     if not task.any():
@@ -57,7 +58,7 @@ def path_points(arm: Arm, table: ElementTable, index: Indices, s: Array) -> Path
     Raises UnreachableError for the first point that no joint angles of its branch reach.
     """
     values, y1, y2 = table.evaluate(index, s)
-    q_deg, ok = _inverse(arm, table, index, values)
+    q_deg, ok = joints_at(arm, table, index, values)
     if not ok.all():
         raise unreachable(arm, table, index, s, int(np.flatnonzero(~ok)[0]))
     joint = table.is_joint[index]

@@ -17,11 +17,14 @@ from rm501_host.kinematics.program_frame import read_orientation_rows
 from rm501_host.kinematics.rotations import matrix_from_rpy
 from rm501_host.moves import Source
 
-from .elements import Array, Element
+from .elements import Array, Element, Indices
 from .errors import OrientationError
 
-_STEP = 0.1
-_KNOTS = 129
+STEP = 0.1
+"""Of the central differences, in mm."""
+FEWEST_KNOTS, MOST_KNOTS = 5, 129
+KNOT_SPACING_MM = 0.25
+KNOT_SPACING_RAD = 0.025
 
 
 class OrientedCurve:
@@ -46,8 +49,9 @@ class OrientedCurve:
         self._waist_deg = waist_deg
         self._first = arm.frame.rotation @ matrix_from_rpy(first_rpy_deg)
         last = arm.frame.rotation @ matrix_from_rpy(last_rpy_deg)
-        self._vector = _rotation_vector(self._first.T @ last)
-        self._knots = np.linspace(0.0, places.length, _KNOTS)
+        self._vector = rotation_vector(self._first.T @ last)
+        count = knot_counts(np.array(places.length), np.array(np.linalg.norm(self._vector)))
+        self._knots = np.linspace(0.0, places.length, int(count))
         pitch, roll, residual = self._angles(self._knots)
         self.residual_deg = float(np.nanmax(residual)) if len(residual) else 0.0
         self.residual_place = float(self._knots[int(np.nanargmax(residual))])
@@ -62,7 +66,7 @@ class OrientedCurve:
     def evaluate(self, s: Array) -> tuple[Array, Array, Array]:
         """Values, first and second derivatives, each (n, 5)."""
         values, slopes, bends = self._places.evaluate(s)
-        h = _STEP
+        h = STEP
         pitch, roll = [], []
         for k in (-2, -1, 0, 1, 2):
             p, r = self._continuous(s + k * h)
@@ -99,6 +103,15 @@ class OrientedCurve:
         return pitch, roll, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
+def knot_counts(length_mm: Array, angle_rad: Array) -> Indices:
+    """At how many places (n,) along paths (n,) of such lengths, with tools that turn by such angles, the residual is
+    looked at; between them neither pitch nor roll turns by half a turn.
+    """
+    wanted = np.ceil(np.maximum(length_mm / KNOT_SPACING_MM, angle_rad / KNOT_SPACING_RAD)) + 1.0
+    counts: Indices = np.clip(wanted, FEWEST_KNOTS, MOST_KNOTS).astype(np.intp)
+    return counts
+
+
 def check_residual(curve: OrientedCurve, tolerance_deg: float, source: Source) -> None:
     """Raise OrientationError where five joints cannot take the orientation somewhere on the way."""
     # below 1e-6 deg the arc cosine's rounding decides
@@ -117,7 +130,7 @@ def _unwrapped(angles_deg: Array, near_deg: float) -> Array:
     return turned
 
 
-def _rotation_vector(rotation: Array) -> Array:
+def rotation_vector(rotation: Array) -> Array:
     """Axis times angle in rad of a rotation (3, 3)."""
     skew = 0.5 * np.array(
         (rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1])

@@ -36,7 +36,7 @@ class PathBuilder:
     """Follows the moves and turns each into one element; knows where the path has got to.
 
     `q_deg` (5,): joints at the end of the path so far; `branch`: the arm's branch there; `task` (5,): x, y, z,
-    pitch, roll there.
+    pitch, roll there; `rpy_deg`: the tool's roll, pitch, yaw there in the program frame (XYZABC).
     """
 
     def __init__(self, arm: Arm, start_deg: Array, *, linear_rapids: bool) -> None:
@@ -45,7 +45,7 @@ class PathBuilder:
         self.q_deg = np.array(start_deg, dtype=np.float64)
         self.branch: Branch = arm.branch_of(self.q_deg)
         self.task = task_values(arm, self.q_deg)
-        self._rpy = self._orientation()
+        self.rpy_deg = self._orientation()
 
     def use_tool(self, length_mm: float, offset_mm: tuple[float, float]) -> None:
         """From here on the tool centre point is another one; the joints stay."""
@@ -57,7 +57,15 @@ class PathBuilder:
         self.q_deg = np.array(q_deg, dtype=np.float64)
         self.branch = self.arm.branch_of(self.q_deg)
         self.task = task_values(self.arm, self.q_deg)
-        self._rpy = self._orientation()
+        self.rpy_deg = self._orientation()
+
+    def go_on(self, q_deg: Array, task: Array, rpy_deg: tuple[float, float, float] | None = None) -> None:
+        """The path goes on from the end of moves that somebody else has followed on this branch: joints (5,), task
+        values (5,) and, for XYZABC, the orientation that the program gave last.
+        """
+        self.q_deg, self.task = q_deg, task
+        if rpy_deg is not None:
+            self.rpy_deg = rpy_deg
 
     def _orientation(self) -> tuple[float, float, float]:
         target = self.arm.program_from_joints(self.q_deg)
@@ -160,11 +168,11 @@ class PathBuilder:
         """The element on the current branch, with the orientation on the way; the path now ends at `end`."""
         if self.arm.frame.has_rpy:
             rpy = (target[3], target[4], target[5])
-            curve = OrientedCurve(self.arm, self.branch, element, self._rpy, rpy, self.task, float(self.q_deg[0]))
+            curve = OrientedCurve(self.arm, self.branch, element, self.rpy_deg, rpy, self.task, float(self.q_deg[0]))
             check_residual(curve, self.arm.frame.tolerance_deg, element.source)
             element = replace(element, curve=curve, omega=0.0)
             end = np.array([*end[:3], *curve.end_angles_deg])
-            self._rpy = rpy
+            self.rpy_deg = rpy
         q_deg, ok = self.arm.ik_batch(end[None, :3], end[3:4], end[4:5], self.branch, float(self.q_deg[0]))
         if not ok[0]:
             self._refuse_end(end, element)
