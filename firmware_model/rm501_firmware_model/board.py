@@ -19,7 +19,15 @@ from rm501_protocol.enums import BoardState, Capability, EndCause, HandState, Ho
 from rm501_protocol.errors import ConfigError
 from rm501_protocol.faults import FaultCode, RefusalReason
 from rm501_protocol.link_events import Received, SessionOpened, StopKind, StopReceived, Undecodable
-from rm501_protocol.messages import FaultReport, Identify, MotionEnded, Status, TriggerReport
+from rm501_protocol.messages import (
+    PROTOCOL_MAJOR,
+    PROTOCOL_MINOR,
+    FaultReport,
+    Identify,
+    MotionEnded,
+    Status,
+    TriggerReport,
+)
 from rm501_protocol.transport import Codec
 
 from .commands import Commands
@@ -195,6 +203,8 @@ class Board:
             if mask:
                 capabilities |= capability
         return Identify(
+            major=PROTOCOL_MAJOR,
+            minor=PROTOCOL_MINOR,
             capabilities=capabilities,
             base_period_us=config.timing.base_period_us,
             frame_periods=layout.periods,

@@ -25,7 +25,8 @@ class BoardLink(LinkCore):
     """State machine of the board's end.
 
     `boot_id` is random at each boot (u32). `identity` is what Hello is answered with; the firmware replaces it when
-    its configuration changes. `free_slots` is the firmware's count of free segment slots, set before `data_to_send`.
+    its configuration changes. A host of another major version than the identity's gets no session. `free_slots` is
+    the firmware's count of free segment slots, set before `data_to_send`.
     ClockQuery is answered here, with the microseconds passed in.
     """
 
@@ -47,6 +48,7 @@ class BoardLink(LinkCore):
         self._epoch = boot_id & 0xFFFF
         self._state = BoardSessionState.CLOSED
         self._nonces: deque[int] = deque(maxlen=_NONCE_MEMORY)
+        self._session_nonce: int | None = None
         self._stops: deque[StopReceived] = deque()
         self._executed_stop: int | None = None
         self._undelivered_segments = 0
@@ -92,6 +94,11 @@ class BoardLink(LinkCore):
             self._undelivered_segments += 1
         super()._put_event(event)
 
+    def _flags(self, message: Message | None = None) -> int:
+        if isinstance(message, Identify) and message.nonce != self._session_nonce:
+            return self._FLAGS  # the answer to a host that is refused belongs to no session
+        return super()._flags()
+
     def _stamped(self, message: Message, now_us: int) -> Message:
         if isinstance(message, ClockReply):
             return replace(message, sent_ticks=now_us & 0xFFFFFFFF)
@@ -128,13 +135,19 @@ class BoardLink(LinkCore):
         hello = self._unsequenced_message(header, payload)
         if not isinstance(hello, Hello) or header.flags & FLAG_SEQUENCED:
             return
-        if self._open and self._nonces and hello.nonce == self._nonces[-1]:
+        if hello.major != self.identity.major:
+            self._state = BOARD_TRANSITIONS[self._state, BoardInput.OTHER_MAJOR]
+            self.stats.refused_hellos += 1
+            self._put_unsequenced(replace(self.identity, nonce=hello.nonce))
+            return
+        if self._open and hello.nonce == self._session_nonce:
             self._put_unsequenced(replace(self.identity, nonce=hello.nonce))
             return
         if hello.nonce in self._nonces:
             self.stats.stale_epoch += 1
             return
         self._nonces.append(hello.nonce)
+        self._session_nonce = hello.nonce
         self._forget_received()
         self._unsequenced.clear()
         self._window.drop_all()

@@ -20,11 +20,22 @@ from .link_events import (
     LossReason,
     SessionLost,
     SessionOpened,
+    SessionRefused,
     StopAcknowledged,
     StopKind,
 )
 from .link_states import HOST_TRANSITIONS, STOP_TRANSITIONS, HostInput, HostState, StopInput, StopState
-from .messages import ClockQuery, ClockReply, Hello, Identify, Kill, Stop, StopReply
+from .messages import (
+    PROTOCOL_MAJOR,
+    PROTOCOL_MINOR,
+    ClockQuery,
+    ClockReply,
+    Hello,
+    Identify,
+    Kill,
+    Stop,
+    StopReply,
+)
 from .send_window import PENDING_CAP
 from .transport import Codec
 
@@ -39,6 +50,8 @@ NOISE_FRAMES = 500
 """Frames over which the share of broken ones is judged."""
 _EPOCH_MEMORY = 8
 """Former epochs remembered, so that a late packet of one does not look like a new board."""
+_VERSION_END = 6
+"""Bytes of Identify that mean the same in every major version: nonce u32, major u8, minor u8."""
 
 
 class HostLink(LinkCore):
@@ -81,8 +94,9 @@ class HostLink(LinkCore):
     # ------------------------------------------------------------------------------------- public
 
     def connect(self, nonce: int, now_us: int) -> tuple[Message, ...]:
-        """Ask for a new session until SessionOpened; `nonce` is random (u32). Returns what the old session had not
-        seen acknowledged.
+        """Ask for a new session until SessionOpened or SessionRefused; `nonce` is random (u32).
+
+        Returns what the old session had not seen acknowledged.
         """
         dropped = self._end_session()
         self._enter(HostInput.CONNECT)
@@ -162,7 +176,7 @@ class HostLink(LinkCore):
         super().handle_timer(now_us)
         if self._hello_due_us is not None and now_us >= self._hello_due_us and self._nonce is not None:
             self._hello_due_us = now_us + HELLO_PERIOD_US
-            self._put_unsequenced(Hello(self._nonce))
+            self._put_unsequenced(Hello(self._nonce, PROTOCOL_MAJOR, PROTOCOL_MINOR))
         if self._clock_due_us is not None and now_us >= self._clock_due_us:
             self._clock_due_us = max(self._clock_due_us + CLOCK_PERIOD_US, now_us + CLOCK_PERIOD_US // 2)
             self._put_unsequenced(ClockQuery(0))
@@ -194,7 +208,7 @@ class HostLink(LinkCore):
         kind, generation = self._stop
         message_id = Stop.ID if kind is StopKind.STOP else Kill.ID
         for _ in range(2 if self._stop_fresh else 1):
-            self._emit(out, message_id, self._FLAGS, 0, bytes((generation,)), now_us)
+            self._emit(out, message_id, self._flags(), 0, bytes((generation,)), now_us)
             # a delimiter in front: what a broken frame before it left behind does not swallow the stop
             out[-1] = self._codec.delimiter + out[-1]
         self._stop_fresh = False
@@ -231,12 +245,19 @@ class HostLink(LinkCore):
             self._deliver(header, payload)
 
     def _identify(self, header: Header, payload: bytes, now_us: int) -> None:
+        if len(payload) >= _VERSION_END and payload[_VERSION_END - 2] != PROTOCOL_MAJOR:
+            payload = payload[:_VERSION_END]
         identify = self._unsequenced_message(header, payload)
         if not isinstance(identify, Identify) or identify.nonce != self._nonce:
             return
         if self._open:
             if header.epoch == self._epoch:
                 self._heard(now_us)
+            return
+        if identify.major != PROTOCOL_MAJOR or not header.flags & FLAG_OPEN:
+            self._end_session()
+            self._enter(HostInput.REFUSED)
+            self._put_event(SessionRefused(identify))
             return
         self._hello_due_us = None
         self._restart_channels()

@@ -67,6 +67,8 @@ class LinkStats:
     gaps: int = 0
     stale_epoch: int = 0
     stale_generation: int = 0
+    refused_hellos: int = 0
+    """Hellos of another major version."""
     overruns: int = 0
     """Messages dropped because the user did not fetch events, or reports that found no room."""
 
@@ -174,7 +176,7 @@ class LinkCore(ABC):
                 if self._blocked(len(payload), now_us):
                     break
                 self._unsequenced.popleft()
-                self._emit(out, message.ID, self._FLAGS, self._window.next_sequence, payload, now_us)
+                self._emit(out, message.ID, self._flags(message), self._window.next_sequence, payload, now_us)
                 continue
             item = self._window.peek(cap) if self._may_send_sequenced() else None
             if item is not None:
@@ -183,13 +185,13 @@ class LinkCore(ABC):
                 first = item.tries == 0
                 self._window.sent(item, now_us, self._line_after(len(item.payload), now_us))
                 self.stats.retransmits += not first
-                flags = self._FLAGS | FLAG_SEQUENCED
+                flags = self._flags() | FLAG_SEQUENCED
                 self._emit(out, item.message.ID, flags, item.sequence, item.payload, now_us)
                 continue
             if self._ack_due:
                 if self._blocked(0, now_us):
                     break
-                self._emit(out, Ack.ID, self._FLAGS, self._window.next_sequence, b"", now_us)
+                self._emit(out, Ack.ID, self._flags(), self._window.next_sequence, b"", now_us)
             break
         return out
 
@@ -217,6 +219,10 @@ class LinkCore(ABC):
     def _stamped(self, message: Message, now_us: int) -> Message:
         """`message` with stamps that belong to the moment of sending."""
         ...
+
+    def _flags(self, message: Message | None = None) -> int:
+        """Flags of a packet: who sends it, and whether it belongs to an open session."""
+        return self._FLAGS | FLAG_OPEN if self._open else self._FLAGS
 
     def _free_slots(self) -> int:
         return 0
@@ -313,8 +319,6 @@ class LinkCore(ABC):
     # ------------------------------------------------------------------------------------- line
 
     def _emit(self, out: list[bytes], message_id: int, flags: int, sequence: int, payload: bytes, now_us: int) -> None:
-        if self._open:
-            flags |= FLAG_OPEN
         if self._nak_due:
             flags |= FLAG_NAK
             self.stats.naks_out += 1

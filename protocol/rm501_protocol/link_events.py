@@ -18,6 +18,7 @@ __all__ = [
     "Received",
     "SessionLost",
     "SessionOpened",
+    "SessionRefused",
     "StopAcknowledged",
     "StopKind",
     "StopReceived",
@@ -64,6 +65,15 @@ class SessionOpened:
     epoch: int
     identify: Identify | None = None
     hello: Hello | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SessionRefused:
+    """Host only: the board opened no session, or one that this host cannot understand; `identify` has its version. The
+    link is closed and sends nothing any more, stops excepted.
+    """
+
+    identify: Identify
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +138,7 @@ Event = (
     Received
     | Undecodable
     | SessionOpened
+    | SessionRefused
     | SessionLost
     | StopReceived
     | StopAcknowledged

@@ -34,6 +34,7 @@ class HostInput(Enum):
 
     CONNECT = "connect()"
     IDENTIFIED = "Identify with our nonce"
+    REFUSED = "Identify with our nonce, of another major version or without a session"
     FOREIGN = "packet of an unknown epoch, or of a board without a session"
 
 
@@ -42,6 +43,7 @@ HOST_TRANSITIONS: dict[tuple[HostState, HostInput], HostState] = {
     (HostState.OPENING, HostInput.CONNECT): HostState.OPENING,
     (HostState.OPEN, HostInput.CONNECT): HostState.OPENING,
     (HostState.OPENING, HostInput.IDENTIFIED): HostState.OPEN,
+    (HostState.OPENING, HostInput.REFUSED): HostState.CLOSED,
     (HostState.OPEN, HostInput.FOREIGN): HostState.CLOSED,
 }
 
@@ -57,11 +59,14 @@ class BoardInput(Enum):
     """What moves the board's session."""
 
     NEW_HELLO = "Hello with a new nonce"
+    OTHER_MAJOR = "Hello of another major version"
 
 
 BOARD_TRANSITIONS: dict[tuple[BoardSessionState, BoardInput], BoardSessionState] = {
     (BoardSessionState.CLOSED, BoardInput.NEW_HELLO): BoardSessionState.OPEN,
     (BoardSessionState.OPEN, BoardInput.NEW_HELLO): BoardSessionState.OPEN,
+    (BoardSessionState.CLOSED, BoardInput.OTHER_MAJOR): BoardSessionState.CLOSED,
+    (BoardSessionState.OPEN, BoardInput.OTHER_MAJOR): BoardSessionState.OPEN,
 }
 
 

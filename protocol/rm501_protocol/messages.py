@@ -107,7 +107,7 @@ __all__ = [
 ]
 
 PROTOCOL_MAJOR = 1
-"""Differs when an old peer would misunderstand: motion is refused."""
+"""Differs when an old peer would misunderstand: no session is opened. What every version keeps: ADR 0017."""
 PROTOCOL_MINOR = 0
 """Grows when messages or trailing fields were added: both sides go on."""
 
@@ -115,6 +115,9 @@ RATE_ONE = 1 << 24
 """Rate 1 in Q0.24: one motion frame per real frame."""
 OVERRIDE_ONE = RATE_ONE
 NO_MOTOR = 255
+
+_UNVERSIONED_MAJOR, _UNVERSIONED_MINOR = 1, 0
+"""What a peer speaks that does not say it; stays when PROTOCOL_MAJOR goes up."""
 
 _TO_BOARD, _TO_HOST, _BOTH = Direction.TO_BOARD, Direction.TO_HOST, Direction.BOTH
 
@@ -130,21 +133,23 @@ class Ack(Message):
 @message(0x02, _TO_BOARD, sequenced=False)
 @dataclass(frozen=True, slots=True)
 class Hello(Message):
-    """Ask for a new session. A new nonce opens one, the nonce of the present session only gets Identify once more."""
+    """Ask for a new session: a new nonce opens one, the present session's only gets Identify again, see Versions."""
 
     nonce: Annotated[int, U32("", "random, new for every handshake")]
-    major: Annotated[int, U8("", "the host's protocol version")] = PROTOCOL_MAJOR
-    minor: Annotated[int, U8("", "the host's protocol version")] = PROTOCOL_MINOR
+    major: Annotated[int, U8("", "the host's protocol version; absent: 1")] = _UNVERSIONED_MAJOR
+    minor: Annotated[int, U8("", "the host's protocol version; absent: 0")] = _UNVERSIONED_MINOR
 
 
 @message(0x03, _TO_HOST, sequenced=False)
 @dataclass(frozen=True, slots=True)
 class Identify(Message):
-    """Answer to Hello: who the board is. The header's epoch is the one of the new session."""
+    """Answer to Hello: who the board is. The header's epoch is the one of the new session; without the session flag
+    there is none, because the major versions differ.
+    """
 
     nonce: Annotated[int, U32("", "copied from Hello")] = 0
-    major: Annotated[int, U8("", "the board's protocol version")] = PROTOCOL_MAJOR
-    minor: Annotated[int, U8("", "the board's protocol version")] = PROTOCOL_MINOR
+    major: Annotated[int, U8("", "the board's protocol version; absent: 1")] = _UNVERSIONED_MAJOR
+    minor: Annotated[int, U8("", "the board's protocol version; absent: 0")] = _UNVERSIONED_MINOR
     boot_id: Annotated[int, U32("", "random at each boot; another one means that everything was lost")] = 0
     capabilities: Annotated[Capability, U16("", "see Capability")] = Capability.NONE
     base_period_us: Annotated[int, U16("us", "base period in force")] = 40

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
 from rm501_host.session.counters import FrameCounter
 from rm501_host.session.refusals import BoardRefusedError
+from rm501_host.session.versions import refused_text
 from rm501_protocol.board_config import BoardConfig
 from rm501_protocol.declaration import Message
 from rm501_protocol.enums import BoardState
@@ -29,11 +30,11 @@ from rm501_protocol.link_events import (
     Received,
     SessionLost,
     SessionOpened,
+    SessionRefused,
     StopAcknowledged,
     StopKind,
 )
 from rm501_protocol.messages import (
-    PROTOCOL_MAJOR,
     ConfigAccepted,
     ConfigCommit,
     Identify,
@@ -49,6 +50,7 @@ M = TypeVar("M", bound=Message)
 T = TypeVar("T")
 Notice = Message | LinkSilent | LinkHeard | LinkNoisy | SessionLost | StopAcknowledged | GenerationAdvanced
 """What a listener gets: messages of the board and what the link noticed."""
+_Heard = Notice | SessionOpened | SessionRefused
 WireTap = Callable[[int, str, bytes], None]
 """Called with now_us, "out" or "in", and the bytes."""
 
@@ -89,7 +91,7 @@ class BoardSession:
         self._wire_tap = wire_tap
         self._timer: asyncio.TimerHandle | None = None
         self._pump_scheduled = False
-        self._waiters: dict[asyncio.Future[Any], Callable[[Notice | SessionOpened], object | None]] = {}
+        self._waiters: dict[asyncio.Future[Any], Callable[[_Heard], object | None]] = {}
         self._listeners: list[Callable[[Notice], None]] = []
         self._failure: Rm501Error | None = None
         self._closing = False
@@ -112,21 +114,24 @@ class BoardSession:
         Raises NoBoardError when nobody answers, RefusedError naming what differs when the board may not be configured
         now.
         """
+
+        def answers(notice: _Heard) -> SessionOpened | SessionRefused | None:
+            return notice if isinstance(notice, SessionOpened | SessionRefused) else None
+
         self._transport.start(self)
-        opened = self._expect(lambda notice: notice if isinstance(notice, SessionOpened) else None)
+        answered: asyncio.Future[SessionOpened | SessionRefused] = self._expect(answers)
         self.link.connect(self._nonce(), self._now_us())
         self._schedule_pump()
         try:
             async with asyncio.timeout(HANDSHAKE_TIMEOUT_S):
-                identify = (await opened).identify
+                answer = await answered
         except TimeoutError:
             remedy = "check the cable, the board's power and the baud rate, and that nobody else has the port open"
             raise NoBoardError(f"no board answers within {HANDSHAKE_TIMEOUT_S:.0f} s; {remedy}") from None
-        if identify is None or identify.major != PROTOCOL_MAJOR:
-            theirs = "none" if identify is None else identify.major
-            raise RefusedError(
-                f"the board speaks protocol {theirs}, this host {PROTOCOL_MAJOR}; install matching versions"
-            )
+        if isinstance(answer, SessionRefused):
+            raise RefusedError(refused_text(answer.identify))
+        identify = answer.identify
+        assert identify is not None, "a host's link has it"
         status = await self.refresh_status()
         if identify.config_hash != board_config.hash:
             await self._configure(identify, status, board_config)
@@ -165,7 +170,7 @@ class BoardSession:
     async def request(self, message: Message, reply: type[M], timeout_s: float = COMMAND_TIMEOUT_S) -> M:
         """Send and wait for a message of type `reply`; raises BoardRefusedError when the board refuses `message`."""
 
-        def answers(notice: Notice | SessionOpened) -> M | None:
+        def answers(notice: _Heard) -> M | None:
             if isinstance(notice, Refused) and notice.message_id == message.ID:
                 raise BoardRefusedError(notice)
             return notice if isinstance(notice, reply) else None
@@ -184,7 +189,7 @@ class BoardSession:
         StoppedError says so.
         """
 
-        def refusal(notice: Notice | SessionOpened) -> Status | None:
+        def refusal(notice: _Heard) -> Status | None:
             if isinstance(notice, Refused) and notice.message_id == message.ID:
                 raise BoardRefusedError(notice)
             return None
@@ -240,7 +245,9 @@ class BoardSession:
         self, wanted: Callable[[Notice], T | None], timeout_s: float | None = None, what: str = "a message"
     ) -> T:
         """Wait until `wanted` gives something else than None for a notice; what it raises is raised here."""
-        future = self._expect(lambda notice: None if isinstance(notice, SessionOpened) else wanted(notice))
+        future = self._expect(
+            lambda notice: None if isinstance(notice, SessionOpened | SessionRefused) else wanted(notice)
+        )
         return await self._within(future, timeout_s, what)
 
     def add_listener(self, listener: Callable[[Notice], None]) -> Callable[[], None]:
@@ -360,7 +367,7 @@ class BoardSession:
                 self._tell(status)
             case Received(message=message):
                 self._tell(message)
-            case SessionOpened():
+            case SessionOpened() | SessionRefused():
                 self._wake(event)
             case SessionLost(reason=reason):
                 self._tell(event)
@@ -389,7 +396,7 @@ class BoardSession:
             listener(notice)
         self._wake(notice)
 
-    def _wake(self, notice: Notice | SessionOpened) -> None:
+    def _wake(self, notice: _Heard) -> None:
         for future, wanted in tuple(self._waiters.items()):
             if future.done():
                 continue
@@ -401,7 +408,7 @@ class BoardSession:
                 if result is not None:
                     future.set_result(result)
 
-    def _expect(self, wanted: Callable[[Notice | SessionOpened], T | None]) -> asyncio.Future[T]:
+    def _expect(self, wanted: Callable[[_Heard], T | None]) -> asyncio.Future[T]:
         self._raise_failure()
         future: asyncio.Future[T] = self._loop.create_future()
         self._waiters[future] = wanted
