@@ -112,7 +112,6 @@ class TransferStats:
     """Counters of a receiver."""
 
     frames: int = 0
-    transfers: int = 0
     dropped_transfers: int = 0
     """Transfers begun and not delivered: a frame was lost, repeated or out of order, or the length was wrong."""
     stray_frames: int = 0
@@ -187,7 +186,6 @@ class TransferReceiver:
             self._drop(transfer_class)
             return None
         self._assemblies[transfer_class] = None
-        self.stats.transfers += 1
         return content
 
     def _drop(self, transfer_class: int) -> None:

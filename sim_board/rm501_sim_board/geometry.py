@@ -14,8 +14,6 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-JOINT_COUNT = 5
-MOTOR_COUNT = 6
 ARM_MOTOR_COUNT = 5
 
 

@@ -83,7 +83,6 @@ def test_the_fuzzer_finds_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 # ------------------------------------------------------------------------------------------------------------------ CAN
 
 SIZES = (8, 12, 16, 20, 24, 32, 48, 64)
-every_size = pytest.mark.parametrize("size", SIZES)
 contents = st.binary(min_size=1, max_size=MAX_PACKET)
 
 

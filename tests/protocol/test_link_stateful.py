@@ -54,7 +54,6 @@ class LinkMachine(RuleBasedStateMachine):
         self.got_up: list[int] = []
         self.ever_up: set[int] = set()
         self.host_open = False
-        self.board_stops: list[StopReceived] = []
         self.acknowledged_stops = 0
         self.asked_stops = 0
 
