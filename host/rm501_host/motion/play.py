@@ -19,6 +19,7 @@ from rm501_host.motion.mirror import Mirror
 from rm501_host.motion.reports import Reports
 from rm501_host.motion.respeeding import (
     BATCH,
+    FIRST_BATCH,
     MOST_ATTEMPTS,
     Respeedable,
     Takeover,
@@ -145,7 +146,8 @@ class Play:
             if self._live is not None:
                 await self._respeed(self._live)
             if not self._is_exhausted and len(self._waiting) < BATCH and self._cut is None:
-                batch = await loop.run_in_executor(None, list, islice(self._source, BATCH))
+                size = BATCH if self._is_started else FIRST_BATCH
+                batch = await loop.run_in_executor(None, list, islice(self._source, size))
                 self._is_exhausted = not batch
                 self._waiting.extend(batch)
             while self._waiting and self._cut is None and self._room() > 0:
@@ -153,7 +155,7 @@ class Play:
                 await asyncio.sleep(0)
             is_filled = self._is_exhausted and not self._waiting
             is_full = is_filled or self._room() <= 0
-            if not self._is_started and self._has_moved and is_full and not self._is_held():
+            if not self._is_started and self._has_moved and (is_full or self._may_begin()) and not self._is_held():
                 if self._session.has_stalled:
                     raise StoppedError(_TOO_LATE)
                 self._session.post(Start())
@@ -168,6 +170,11 @@ class Play:
                 return None
             if is_full or self._cut is not None:
                 await asyncio.sleep(_POLL_S)
+
+    def _may_begin(self) -> bool:
+        """Whether what is queued outlasts the stall budget and still lets the board stop on the path then."""
+        budget_s = self._config.planner.stall_budget_s
+        return earliest_cut(self._config, self._mirror.sent, self._mirror.sent[0].start_frame, budget_s) is not None
 
     async def _begin_again_after_a_hold(self) -> None:
         """A hold may meet the board before the start does, which it then refuses: the motion begins once somebody

@@ -1,8 +1,13 @@
-"""What the board has told about the motion under way."""
+"""What the board has told about the motion under way.
+
+A report may be overtaken by the status that shows the same: an end of motion that is told after the next motion has
+begun is known by its real frame, and is nobody's any more.
+"""
 
 from __future__ import annotations
 
 from rm501_host.session.board_session import Notice
+from rm501_host.session.counters import FrameCounter
 from rm501_protocol.messages import (
     ArmTrigger,
     FaultReport,
@@ -20,9 +25,14 @@ _OF_THE_PLAY = (Segment.ID, Start.ID, ArmTrigger.ID)
 
 
 class Reports:
-    """The newest of each kind since `forget`; the first refusal, since those that follow it are for the gap it left."""
+    """The newest of each kind since `forget`; the first refusal, since those that follow it are for the gap it left.
 
-    def __init__(self) -> None:
+    `real_frames`: the board's real frames, as the session follows them.
+    """
+
+    def __init__(self, real_frames: FrameCounter) -> None:
+        self._real_frames = real_frames
+        self._since_frame = 0
         self.ended: MotionEnded | None = None
         self.fault: FaultReport | None = None
         self.refused: Refused | None = None
@@ -31,7 +41,8 @@ class Reports:
         self.truncate_refused: Refused | None = None
 
     def forget(self) -> None:
-        """A new play begins."""
+        """A new play begins, on a board whose newest status shows it at rest."""
+        self._since_frame = self._real_frames.value
         self.ended = self.fault = self.refused = self.trigger = None
         self.forget_truncate()
 
@@ -39,11 +50,16 @@ class Reports:
         """A Truncate is about to be sent: what comes now answers it."""
         self.truncated = self.truncate_refused = None
 
+    def is_late(self, ended: MotionEnded) -> bool:
+        """Whether this tells the end of a motion that was over when the play began."""
+        return self._real_frames.extend(ended.real_frame) <= self._since_frame
+
     def listen(self, notice: Notice) -> None:
         """A listener of the session."""
         match notice:
             case MotionEnded():
-                self.ended = notice
+                if not self.is_late(notice):
+                    self.ended = notice
             case FaultReport():
                 self.fault = notice
             case Truncated():

@@ -31,6 +31,8 @@ from rm501_protocol.enums import SegmentFlag
 BATCH = 8
 """Segments planned at a time away from the event loop: long enough to be worth a thread, short enough to stop soon.
 """
+FIRST_BATCH = 2
+"""The same before the start, which somebody waits for."""
 _NEWS_S = 0.1
 """How old the board's last word on where it is may be, and how long a message may take there."""
 _ROOM = 1 << 19

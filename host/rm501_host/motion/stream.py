@@ -47,7 +47,7 @@ class MotionStream:
         self._someone_resumes = someone_resumes
         self._config = config
         self._play: Play | None = None
-        self._reports = Reports()
+        self._reports = Reports(session.real_frames)
         self.mirror = Mirror(config)
         self._remove_listener = session.add_listener(self._reports.listen)
 
@@ -107,6 +107,7 @@ class MotionStream:
             )
         exact = tuple(steps << FRACTION_BITS for steps in status.positions_steps)
         self.mirror.stand(exact, self._session.motion_frames.value)
+        self._reports.forget()
 
     async def set_positions(self, steps: Mapping[int, int]) -> None:
         """Define and trust the positions of some motors, at rest; raises BoardRefusedError."""
@@ -157,9 +158,14 @@ class MotionStream:
         """Stop listening to the session."""
         self._remove_listener()
 
-    def motion_ended(self, ended: MotionEnded) -> None:
-        """Motion ended before its queue did: take over where."""
+    def motion_ended(self, ended: MotionEnded) -> bool:
+        """Motion ended before its queue did: take over where. False for an end that is told late, when the positions
+        were taken over already: nothing is taken from it.
+        """
+        if self._reports.is_late(ended):
+            return False
         self.mirror.end_at(ended.positions_q48, self._session.motion_frames.extend(ended.motion_frame))
+        return True
 
     def under_way(self) -> tuple[PlannedSegment, int] | None:
         """The segment that is being played, and the motion frame of the newest status; None where nothing is."""

@@ -19,6 +19,7 @@ from tests.support.virtual_machine import ME, REPOSITORY, homed, running_service
 PLAIN = load_config(REPOSITORY / "configs" / "rm501.toml")
 BOX = BoxSection(name="vice", min_mm=(150.0, 200.0, 0.0), max_mm=(400.0, 400.0, 900.0))
 ZONED = msgspec.structs.replace(PLAIN, keep_out=msgspec.structs.replace(PLAIN.keep_out, boxes=(BOX,)))
+START = (0.0, 60.0, -60.0, 60.0, 0.0)
 BACK = (0.0, 85.0, -30.0, 172.0, 0.0)
 """The tool leans back; 17 mm before the waist axis, 2 mm beside it once it has been jogged there."""
 
@@ -93,5 +94,26 @@ def test_an_unhomed_joint_leaves_its_active_switch_only(tmp_path: Path) -> None:
             # off the switch both ways are free again; the pitch works past its own
             await jogger.start(ME, "joint", "waist", -5.0, distance=0.1).wait()
             await jogger.start(ME, "joint", "pitch", -5.0, distance=1.0).wait()
+
+    run_virtual(scenario())
+
+
+def test_what_an_aborted_jog_leaves_on_the_line_does_not_end_the_next_motion(tmp_path: Path) -> None:
+    """Its lease runs out while the arm comes to rest; the report of that may come after the status that shows it."""
+
+    async def scenario() -> None:
+        async with running_service(tmp_path, config=PLAIN) as service:
+            machine, jogger = service.machine, service.jogger
+            await homed(service)
+            for kept in (3, 5, 11, 13, 16, 20):
+                await operations.move_joints(machine, ME, START).wait()
+                assert machine.arm_state.joints_deg == pytest.approx(START, abs=0.03)
+                job = jogger.start(ME, "world", "x", -50.0)
+                for _ in range(kept):
+                    jogger.keep(ME, job.id)
+                    await asyncio.sleep(0.01)
+                await asyncio.sleep(0.004)
+                assert await machine.hold(ME), "a jog that is held ends"
+                await operations.move_joints(machine, ME, (10.0, *START[1:])).wait()
 
     run_virtual(scenario())
