@@ -49,6 +49,11 @@ class ArmState:
         """What is wrong with the position file, None when nothing is."""
         return self._file.warning
 
+    @property
+    def boot_id(self) -> int:
+        """Which boot of the board the newest session was with, 0 before the first."""
+        return self._boot_id
+
     def connected(self, identify: Identify, status: Status) -> str:
         """A session is up; returns a sentence for the log on what is trusted and why."""
         self._boot_id = identify.boot_id

@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from rm501_host.errors import NoBoardError, Rm501Error
+from rm501_host.errors import Rm501Error
 from rm501_host.session import BoardSession, open_session
 from rm501_host.session.board_session import Notice, WireTap
 from rm501_protocol.board_config import BoardConfig
@@ -99,7 +99,8 @@ class BoardPort:
             elif silent_since_s is None:
                 silent_since_s = loop.time()
             elif loop.time() - silent_since_s >= _SILENCE_S:
-                raise NoBoardError("the board has been silent for too long")
+                session.give_up(f"it has been silent for {session.silence_s:.0f} s")
+        raise session.failure
 
 
 def _never(notice: Notice) -> bool | None:

@@ -87,7 +87,7 @@ class Machine:
         self.black_box = parts.black_box
         self.arm_state = ArmState(self.arm, config, parts.position_file, parts.utc)
         self.state = MachineState.ESTOP
-        self.cause: causes.Cause | None = causes.CONNECTING
+        self._causes = causes.Causes()
         self.mode = Mode.MANUAL
         self.override = 1.0
         self.plan_scale = 1.0
@@ -150,8 +150,13 @@ class Machine:
         return session
 
     def _no_board(self) -> str:
-        cause = self.cause or causes.CONNECTING
+        cause = self._causes.connection
         return f"{cause.text}; {cause.remedy}"
+
+    @property
+    def cause(self) -> causes.Cause | None:
+        """Why the machine is in ESTOP or OFF, None when nothing is wrong."""
+        return self._causes.shown
 
     @property
     def connected(self) -> bool:
@@ -208,8 +213,9 @@ class Machine:
         self.write_log("stop", who=who.name, category=kind.name, state=describe(self.state))
         self._continue.set()
         if self.state.task is TaskState.ON:
+            self._aborting = False
             self._apply(Event.STOP)
-            self.cause = causes.OPERATOR_STOP
+            self._causes.add(causes.OPERATOR_STOP)
         try:
             await self.session.stop(kind)
         except NoBoardError as error:
@@ -316,7 +322,8 @@ class Machine:
                 session.post(Reset(FaultCode.NONE))
             if self.state is MachineState.ESTOP:
                 self._apply(Event.RESET)
-            self.cause = causes.AFTER_RESET
+            self._causes.clear()
+            self._causes.add(causes.AFTER_RESET)
             if power:
                 await self._power_on(session)
 
@@ -329,7 +336,7 @@ class Machine:
             raise RefusedError(f"the machine is {describe(self.state)}; stop it first")
         self.write_log("power_off", who=who.name)
         self._apply(Event.POWER_OFF)
-        self.cause = causes.POWERED_OFF
+        self._causes.add(causes.POWERED_OFF)
         await self.session.command(SetPower(False), lambda status: not status.power)
 
     def start_job(
@@ -409,30 +416,45 @@ class Machine:
     async def _after_motion(self, job: Job) -> None:
         """Bring the state to where a motion leaves it, and the position file up to date."""
         session = self._port.session
+        is_settled = True
         if session is not None and session.failure is None and self.state.task is TaskState.ON:
             if (self.state is not MachineState.STOPPING or self._aborting) and job.error is not None:
                 # motion may be queued that nobody will complete, and only the board knows where it ended
-                try:
-                    try:
-                        await self.resync()
-                    except (Rm501Error, TimeoutError) as first:
-                        # what was under way to the board may have met it in between
-                        self.write_log("resync_again", error=str(first))
-                        await asyncio.sleep(_NOTICE_S)
-                        await self.resync()
-                except (Rm501Error, TimeoutError) as error:
-                    # planning the next motion from a guess would lead the arm along another path than was checked
-                    self._fault(causes.unsettled(str(error)), "rest unknown")
+                is_settled = await self._settled(session)
             if self.state in (MachineState.HOLDING, MachineState.HELD):
                 self._apply(Event.ABORT)
             if self.state is MachineState.RUNNING or (self.state is MachineState.STOPPING and self._aborting):
                 self._apply(Event.FINISHED)
-                self.cause = None
         self._aborting = False
         text = None if job.error is None else str(job.error)
         self.write_log("motion_end", motion=job.id, what=job.kind.value, error=text)
-        if self.connected:
+        if is_settled and self._is_open(session):
             await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=False))
+
+    async def _settled(self, session: BoardSession) -> bool:
+        """Bring the board of `session` to rest after a motion that broke off; False, and ESTOP, when it does not tell
+        where that is: planning the next motion from a guess would lead the arm along another path than was checked.
+        """
+        try:
+            try:
+                await self.resync()
+            except (Rm501Error, TimeoutError) as first:
+                # what was under way to the board may have met it in between
+                self.write_log("resync_again", error=str(first))
+                await asyncio.sleep(_NOTICE_S)
+                if self._is_open(session):
+                    await self.resync()
+        except (Rm501Error, TimeoutError) as error:
+            if self._is_open(session):
+                silence_s = session.silence_s
+                reason = str(error) or f"it did not come to rest within {REST_TIMEOUT_S:.0f} s"
+                self._fault(causes.silent(silence_s) if silence_s else causes.unsettled(reason), "rest unknown")
+                return False
+        return self._is_open(session)
+
+    def _is_open(self, session: BoardSession | None) -> bool:
+        """Whether this is the session still; what is wrong with one that is over, its end has told."""
+        return session is not None and session is self._port.session and session.failure is None
 
     def _abort_now(self, session: BoardSession) -> None:
         self._aborting = True
@@ -482,7 +504,7 @@ class Machine:
             session.post(self._rate())
         self.stream = stream
         self._apply(Event.POWER_ON)
-        self.cause = None
+        self._causes.clear()
 
     async def resync(self) -> None:
         """After a motion that broke off in an unknown place: come to rest, take over the board's positions."""
@@ -499,25 +521,21 @@ class Machine:
     def _link_up(self, session: BoardSession) -> None:
         identify, status = session.link.identify, session.status
         assert identify is not None and status is not None
+        restarted = self.arm_state.boot_id not in (0, identify.boot_id)
         trust = self.arm_state.connected(identify, status)
         self.write_log("link_up", boot_id=identify.boot_id, build=identify.build, board=status.state.name, trust=trust)
-        if self.cause in (causes.CONNECTING, None) or self.state is not MachineState.ESTOP:
-            self.cause = causes.STARTED
-        if status.state is BoardState.FAULT:
-            self.cause = causes.board_fault(FaultCode(status.fault))
+        fault = causes.board_fault(FaultCode(status.fault)) if status.state is BoardState.FAULT else None
+        self._causes.connected(restarted=restarted, fault=fault)
 
     def _link_down(self, error: Rm501Error) -> None:
         was_up = self._port.session is not None
         if was_up or self.state is not MachineState.ESTOP:
             self.stream = None
             self.arm_state.disconnected()
-            lost_boot = "restart" in str(error) or "session" in str(error)
-            self._fault(causes.BOARD_RESET if lost_boot else causes.link_lost(error), "link lost")
-        elif isinstance(error, NoBoardError):
-            if self.cause is None:
-                self.cause = causes.CONNECTING
-        elif not isinstance(error, LinkLostError):
-            self.cause = causes.refused_connection(str(error))
+            self._fault(causes.link_lost(error), "link lost")
+        else:
+            nobody_answered = isinstance(error, NoBoardError | LinkLostError)
+            self._causes.not_connected(None if nobody_answered else str(error))
         self.log.write("link_down", error=str(error))
 
     def _notice(self, notice: Notice) -> None:
@@ -571,20 +589,18 @@ class Machine:
         if self.state is not MachineState.STOPPING:
             if self.state is MachineState.IDLE:
                 self._apply(Event.POWER_OFF)
-                self.cause = causes.POWERED_OFF
+                self._causes.add(causes.POWERED_OFF)
                 return
             self._apply(Event.STOP)
-        if self.cause is None:
-            self.cause = causes.POWERED_OFF
+        self._causes.add(causes.POWERED_OFF)
         self._apply(Event.STOPPED)
 
     def _fault(self, cause: causes.Cause, reason: str) -> None:
-        again = self.state is MachineState.ESTOP and self.cause == cause
-        self.cause = cause
+        is_news = self._causes.add(cause)
         self._continue.set()
         if self.state is not MachineState.ESTOP:
             self._apply(Event.FAULT)
-        if not again:
+        if is_news:
             self.write_log("estop", cause=cause.text, remedy=cause.remedy)
             path = self.black_box.dump(reason)
             if path is not None:

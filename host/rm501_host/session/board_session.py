@@ -27,6 +27,7 @@ from rm501_protocol.link_events import (
     LinkHeard,
     LinkNoisy,
     LinkSilent,
+    LossReason,
     Received,
     SessionLost,
     SessionOpened,
@@ -79,6 +80,18 @@ class LinkLostError(StoppedError):
         self.reason = reason or text
 
 
+class SessionLostError(LinkLostError):
+    """The line is there, but the board knows nothing of the session any more; `loss` says why."""
+
+    def __init__(self, loss: LossReason) -> None:
+        super().__init__(
+            f"the session with the board is over: {loss.value}; its queue and its position are lost: "
+            "connect again and home the arm",
+            loss.value,
+        )
+        self.loss = loss
+
+
 class BoardSession:
     """An open session; made by `open_session`."""
 
@@ -98,6 +111,8 @@ class BoardSession:
         self._confirming: list[tuple[Message, asyncio.Future[None]]] = []
         self._data_s: float | None = None
         self._stall_ended_s: float | None = None
+        self._stall_s = 0.0
+        self._silent_since_s: float | None = None
         self._noise: LinkNoisy | None = None
         self._noise_s = 0.0
         self.motion_frames = FrameCounter()
@@ -263,6 +278,18 @@ class BoardSession:
         self._pump()
         await self._within(acknowledged, _STOP_TIMEOUT_S, "the acknowledgement of a stop")
 
+    def give_up(self, reason: str) -> None:
+        """Take the connection for lost: everyone who waits gets a LinkLostError with `reason`, and so does every later
+        call.
+        """
+        self._fail(
+            LinkLostError(
+                f"the connection to the board is lost: {reason}; a moving arm holds on its path by itself: "
+                "restore the connection, then look at the status before you resume or home again",
+                reason,
+            )
+        )
+
     async def aclose(self) -> None:
         """End the session and let go of the port; may be called twice."""
         self._closing = True
@@ -274,10 +301,19 @@ class BoardSession:
     @property
     def has_stalled(self) -> bool:
         """Whether nothing was heard for a second, now or until just now: this process stood still, or the line did."""
+        return self.silence_s > 0.0
+
+    @property
+    def silence_s(self) -> float:
+        """For how long nothing (or nothing intelligible) is heard, or was until just now; 0 where that is less than a
+        second.
+        """
         now_s = self._loop.time()
-        if self._data_s is not None and now_s - self._data_s >= STALL_S:
-            return True
-        return self._stall_ended_s is not None and now_s - self._stall_ended_s <= _JUST_NOW_S
+        heard_s = self._silent_since_s if self.link_silent else self._data_s
+        if heard_s is not None and now_s - heard_s >= STALL_S:
+            return now_s - heard_s
+        ended_s = self._stall_ended_s
+        return self._stall_s if ended_s is not None and now_s - ended_s <= _JUST_NOW_S else 0.0
 
     @property
     def noise_warning(self) -> str | None:
@@ -300,7 +336,7 @@ class BoardSession:
         now_us = self._now_us()
         now_s = self._loop.time()
         if self._data_s is not None and now_s - self._data_s >= STALL_S:
-            self._stall_ended_s = now_s
+            self._stall_ended_s, self._stall_s = now_s, now_s - self._data_s
         self._data_s = now_s
         if self._wire_tap is not None:
             self._wire_tap(now_us, "in", data)
@@ -310,14 +346,7 @@ class BoardSession:
     def connection_lost(self, exc: Exception | None) -> None:
         """The transport is gone."""
         if not self._closing:
-            reason = str(exc) if exc is not None else "the other end closed it"
-            self._fail(
-                LinkLostError(
-                    f"the connection to the board is lost: {reason}; a moving arm holds on its path by itself: "
-                    "restore the connection, then look at the status before you resume or home again",
-                    reason,
-                )
-            )
+            self.give_up(str(exc) if exc is not None else "the other end closed it")
 
     # ------------------------------------------------------------------------------------------- machinery
 
@@ -371,14 +400,10 @@ class BoardSession:
                 self._wake(event)
             case SessionLost(reason=reason):
                 self._tell(event)
-                self._fail(
-                    LinkLostError(
-                        f"the session with the board is over: {reason.value}; its queue and its position are lost: "
-                        "connect again and home the arm"
-                    )
-                )
-            case LinkSilent():
+                self._fail(SessionLostError(reason))
+            case LinkSilent(silent_us=silent_us):
                 self.link_silent = True
+                self._silent_since_s = self._loop.time() - silent_us * 1e-6
                 self._tell(event)
             case LinkHeard():
                 self.link_silent = False
@@ -425,6 +450,8 @@ class BoardSession:
             async with asyncio.timeout(timeout_s):
                 return await future
         except TimeoutError:
+            if future.done() and not future.cancelled():
+                return future.result()  # it came while this process stood still beyond the time limit
             raise LinkLostError(
                 f"the board did not send {what} within {timeout_s:.0f} s; check the connection and the board's power"
             ) from None
