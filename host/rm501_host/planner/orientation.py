@@ -25,6 +25,8 @@ STEP = 0.1
 FEWEST_KNOTS, MOST_KNOTS = 5, 129
 KNOT_SPACING_MM = 0.25
 KNOT_SPACING_RAD = 0.025
+WELL_WITHIN = 0.5
+"""Residuals above this share of the tolerance are looked at in as many places as there are."""
 
 
 class OrientedCurve:
@@ -50,8 +52,13 @@ class OrientedCurve:
         self._first = arm.frame.rotation @ matrix_from_rpy(first_rpy_deg)
         last = arm.frame.rotation @ matrix_from_rpy(last_rpy_deg)
         self._vector = rotation_vector(self._first.T @ last)
-        count = knot_counts(np.array(places.length), np.array(np.linalg.norm(self._vector)))
-        self._knots = np.linspace(0.0, places.length, int(count))
+        count = int(knot_counts(np.array(places.length), np.array(np.linalg.norm(self._vector))))
+        self._look(count, start_task)
+        if self.residual_deg > WELL_WITHIN * arm.frame.tolerance_deg and count < MOST_KNOTS:
+            self._look(MOST_KNOTS, start_task)
+
+    def _look(self, count: int, start_task: Array) -> None:
+        self._knots = np.linspace(0.0, self._places.length, count)
         pitch, roll, residual = self._angles(self._knots)
         self.residual_deg = float(np.nanmax(residual)) if len(residual) else 0.0
         self.residual_place = float(self._knots[int(np.nanargmax(residual))])

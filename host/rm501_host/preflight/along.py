@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rm501_host.config import JOINT_NAMES, MOTOR_NAMES
 from rm501_host.kinematics import Arm
-from rm501_host.planner.geometry import joints_along
+from rm501_host.planner.geometry import joints_at
 from rm501_host.planner.jointspace import joint_derivatives
 from rm501_host.planner.limits import Limits
 
@@ -47,7 +47,7 @@ class AlongCheck:
         """Check a batch; blends may leave the path by `margin_mm`."""
         table, index, s = points.table, points.index, points.s
         values, y1, y2 = table.evaluate(index, s)
-        q_deg, _ = joints_along(arm, table, index, s)
+        q_deg, _ = joints_at(arm, table, index, values)
         missing: Flags = np.asarray(np.isnan(q_deg).any(axis=1), dtype=np.bool_)
         with np.errstate(all="ignore"):
             task = ~table.is_joint[index] & ~missing

@@ -1,8 +1,8 @@
 """Preflight: a program's path through the kinematics, from its start to its end, before anything moves.
 
 Every move is followed through points 1 mm apart (and wherever a joint turns between two of them), in batches of many
-moves; consecutive straight lines are followed as arrays (`lines`). A refused move is reported and stepped over, so one
-run finds everything. The time estimate comes from the planner itself, which checks blends too.
+moves; consecutive lines, arcs and splines are followed as arrays (`runs`). A refused move is reported and stepped
+over, so one run finds everything. The time estimate comes from the planner itself, which checks blends too.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from .batch import Batch
 from .collector import Collector
 from .findings import Finding, FindingKind, PreflightReport, Severity, Via
 from .keep_out import KeepOut
-from .lines import follow_lines
+from .runs import TaskMove, follow_moves
 from .via import suggest_via
 
 Array = NDArray[np.float64]
 
 BATCH = 512
-FEWEST_LINES = 4
-"""Shorter runs of lines are followed one by one."""
+FEWEST_MOVES = 4
+"""Shorter runs of moves are followed one by one."""
 MOST_ESTIMATED_MOVES = 20_000
 
 
@@ -106,11 +106,6 @@ class ProgramCheck:
     def nominal_s(self) -> float:
         """What the moves checked so far take at their feeds and the largest joint rates, without accelerations."""
         return self._check.nominal_s
-
-    @property
-    def is_quick_with_lines(self) -> bool:
-        """Whether straight lines are checked as arrays: not where orientations are given as roll, pitch, yaw."""
-        return self._check.takes_lines
 
     def take(self, move: Move | Action) -> None:
         """Check one more move: at once, or with the batch that it belongs to."""
@@ -187,9 +182,9 @@ class _Check:
         self._path = PathBuilder(arm, start_deg, linear_rapids=config.planner.linear_rapids)
         self.found = Collector()
         self._along = AlongCheck(Limits.from_config(config), KeepOut(config), self.found)
-        self.takes_lines = not arm.frame.has_rpy
+        self._in_runs = (LinearMove, ArcMove, SplineMove, *((RapidMove,) if config.planner.linear_rapids else ()))
         self._batch = Batch()
-        self._lines: list[LinearMove] = []
+        self._held: list[TaskMove] = []
         self._margin_mm = 0.0
         self._taken = 0
         self.line = 0
@@ -204,10 +199,10 @@ class _Check:
         """Check one move (some are checked when the batch is full)."""
         if move.source.line > self.line:
             self.line = move.source.line
-        if isinstance(move, LinearMove) and self.takes_lines:
-            self._lines.append(move)
+        if isinstance(move, self._in_runs):
+            self._held.append(move)
             self._taken += 1
-            if len(self._batch) + len(self._lines) >= BATCH:
+            if len(self._batch) + len(self._held) >= BATCH:
                 self._follow()
                 self._flush_when_full()
             return
@@ -216,21 +211,21 @@ class _Check:
         self._take(move, self._taken - 1)
 
     def _follow(self) -> None:
-        """Follow the lines held back: many at once where they are plain, one by one where they are not."""
-        lines, self._lines = self._lines, []
-        first_number = self._taken - len(lines)
+        """Follow the moves held back: many at once where they are plain, one by one where they are not."""
+        moves, self._held = self._held, []
+        first_number = self._taken - len(moves)
         done, many = 0, BATCH
-        while done < len(lines):
-            if min(many, len(lines) - done) >= FEWEST_LINES:
-                run = follow_lines(self._path, lines[done : done + many], first_number + done)
+        while done < len(moves):
+            if min(many, len(moves) - done) >= FEWEST_MOVES:
+                run = follow_moves(self._path, moves[done : done + many], first_number + done)
                 if len(run):
-                    self._batch.add_lines(run)
+                    self._batch.add_run(run)
                 done += len(run)
-                many = max(FEWEST_LINES, 2 * len(run))
+                many = max(FEWEST_MOVES, 2 * len(run))
             else:
                 many = BATCH
-            if done < len(lines):
-                self._take(lines[done], first_number + done)
+            if done < len(moves):
+                self._take(moves[done], first_number + done)
                 done += 1
 
     def _take(self, move: Move | Action, number: int) -> None:
@@ -304,7 +299,8 @@ class _Check:
     def _check_batch(self) -> None:
         batch, self._batch = self._batch, Batch()
         if len(batch):
-            self._along.check(self._path.arm, batch.points(), self._margin_mm)
+            for points in batch.parts():
+                self._along.check(self._path.arm, points, self._margin_mm)
 
 
 def _finding_of(error: PlanError, source: Source, via: Via | None) -> Finding:

@@ -87,8 +87,7 @@ class RollingCheck:
                 if isinstance(move, StillReading):
                     cost += move.blocks
                 else:
-                    quick = isinstance(move, LinearMove) and self._check.is_quick_with_lines
-                    cost += 1 if quick else OTHER_MOVES_COUNT
+                    cost += 1 if isinstance(move, LinearMove) else OTHER_MOVES_COUNT
         if self._waits:
             what = "an input" if isinstance(moves[-1], InputWait) else "a probe"
             stopped_by = f"{moves[-1].source}: what follows depends on {what}"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rm501_host.kinematics import Arm
 from rm501_host.planner.elements import ElementTable, Indices
-from rm501_host.planner.geometry import joints_along
+from rm501_host.planner.geometry import joints_at
 from rm501_host.planner.grid import CREEP_MM_S
 from rm501_host.planner.jointspace import joint_derivatives
 from rm501_host.planner.limits import Limits
@@ -93,7 +93,7 @@ def _peak(function: Callable[[Indices, Array], Array], element: Indices, low: Ar
 
 def _slowness_at(arm: Arm, limits: Limits, table: ElementTable, element: Indices, s: Array) -> Array:
     values, y1, y2 = table.evaluate(element, s)
-    q_deg, _ = joints_along(arm, table, element, s)
+    q_deg, _ = joints_at(arm, table, element, values)
     q1, _ = joint_derivatives(arm, q_deg, y1, y2, values[:, :3])
     return slowness(limits, q1)
 

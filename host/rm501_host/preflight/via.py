@@ -25,6 +25,7 @@ _HEIGHTS_MM = np.linspace(60.0, 440.0, 9)
 _SHARES = (0.5, 0.0, 1.0, 0.25, 0.75)
 _TRIED = 60
 _POINTS = 60
+_SCORE_DIGITS = 6
 
 
 def suggest_via(arm: Arm, start_deg: Sequence[float] | Array, goal: Array) -> Via | None:
@@ -42,7 +43,8 @@ def suggest_via(arm: Arm, start_deg: Sequence[float] | Array, goal: Array) -> Vi
     low, high = arm.limits_deg
     margin = (np.minimum(q_deg - low, high - q_deg) / (high - low)).min(axis=1)
     score = np.abs(np.sin(np.radians(q_deg[:, 2]))) * np.hypot(candidates[:, 0], candidates[:, 1]) * margin
-    for index in np.argsort(-score)[:_TRIED]:
+    # equal but for rounding: the earlier one, so that the same question has one answer
+    for index in np.argsort(-np.round(score, _SCORE_DIGITS), kind="stable")[:_TRIED]:
         via = candidates[index]
         if _line_is_free(arm, start, via, branch) and _line_is_free(arm, via, goal, branch):
             target: Target = arm.program_from_joints(q_deg[index])

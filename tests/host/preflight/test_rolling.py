@@ -21,7 +21,7 @@ from rm501_host.preflight import ProgramCheck, ProgramFault, RollingCheck
 from rm501_host.program import read_moves
 from rm501_host.program_plan import carry_out_notes, check_and_plan
 from tests.host.planner.programs import PICK_START_DEG, at, target
-from tests.host.preflight.test_lines import random_program
+from tests.host.preflight.test_runs import random_program
 
 CONFIG = load_config()
 ARM = Arm.from_config(CONFIG)
