@@ -234,6 +234,8 @@ class Board:
     def _report(self) -> None:
         """Turn what the core has to tell into messages; without a session it waits, but for status."""
         core = self._core
+        if not core.reports:
+            return
         if core.reports & Report.NEW_GENERATION:
             core.reports &= ~Report.NEW_GENERATION
             self._link.advance_generation()

@@ -170,7 +170,7 @@ class Core:
         motion = self.motion
         if motion.moving:
             if motion.frame(real_frame & FRAME_MASK):
-                if motion.notices & Notice.EVENT:
+                if motion.notices and motion.notices & Notice.EVENT:
                     self.fire_events()
                 motion.play()
                 if self.stepgen.late:

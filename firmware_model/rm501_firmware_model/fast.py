@@ -23,6 +23,7 @@ from rm501_protocol.enums import BoardState
 from rm501_protocol.segment import FRACTION_BITS
 
 from .board import Board
+from .core import NEVER
 from .limits import pyramid, speed_at, turning_frame
 from .motion import RATE_ONE
 from .segment_queue import FRAME_MASK, triangle
@@ -65,14 +66,30 @@ class FastBoard(Board):
         """First frame that may give the board something to say: a timer, an input, the end of a segment, the link."""
         core = self._core
         now = core.real_frame
-        until = core.wake
-        if core.reports or until <= now or not core.sampled or not core.inputs.quiet(self._pins.read_inputs(now)):
+        if core.reports or not core.sampled or not core.inputs.quiet(self._pins.read_inputs(now)):
+            return now
+        until = core.wake if core.wake > now else self._next_timer()
+        if until <= now:
             return now
         due = self.next_transmit_frame()
         if due is not None and due <= until:
             until = due - 1
         until = min(until, self._pins.inputs_stable_until(now), now + MAX_STRETCH_FRAMES)
         return now + self._steady_frames(until - now) if core.motion.moving and until > now else max(now, until)
+
+    def _next_timer(self) -> int:
+        """First frame with a timer that is due, as `Core.timers` will find when it looks in the frame made next."""
+        core = self._core
+        layout = core.layout
+        due = core.status_due if core.status_frames else NEVER
+        for end in (core.master_reset_end, core.lease_end):
+            if end:
+                due = min(due, end)
+        moving = core.motion.moving
+        silence = layout.link_timeout_frames if moving else layout.idle_power_off_frames
+        if silence and core.link_silent <= (0 if moving else 1):
+            due = min(due, core.heard_frame + silence)
+        return due
 
     # ------------------------------------------------------------------------------------------------- how far at once
 

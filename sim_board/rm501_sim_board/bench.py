@@ -85,7 +85,6 @@ class Bench:
         self.seed = seed
         self.clock = clock or FrameClock(40, 8)
         self.boards = boards or DriverBoards(wiring or standard_wiring())
-        self._nominal_bus = self.boards.wiring == standard_wiring()
         self.recording = Recording(self.clock.periods_per_frame, keep_words)
         self.hand = Hand(parameters.hand)
         self.plant: Plant = self._build_plant()
@@ -112,6 +111,8 @@ class Bench:
         """Called whenever a promise of `inputs_stable_until` is withdrawn."""
         self._active = [False] * len(INPUT_LINES)
         self._word = 0
+        self._power_level = 0
+        self._power_mask = self._find_power_bit()
 
     # ------------------------------------------------------------ the microcontroller's side
 
@@ -119,6 +120,8 @@ class Bench:
         """Port words of one frame, one per base period; copied."""
         if frame * self.clock.periods_per_frame != self._written_periods:
             self._refuse_gap(frame)
+        if words[0] & self._power_mask != self._power_level:
+            self._power_switched(frame, words[0])
         self._loose_words += words
         self._written_periods += len(words)
 
@@ -127,6 +130,7 @@ class Bench:
         if first_frame * self.clock.periods_per_frame != self._written_periods:
             self._refuse_gap(first_frame)
         block = np.asarray(words, dtype=np.uint32).reshape(-1)
+        self._watch_power(first_frame, block)
         self._gather_loose_words()
         self._pending.append(block)
         self._written_periods += len(block)
@@ -206,6 +210,9 @@ class Bench:
         """Change the cable from now on."""
         self._decode()
         self.boards.wiring = wiring
+        self._power_mask = self._find_power_bit()
+        self.plant.bound_steps(self._most_steps_per_frame())
+        self.world_changed()
 
     def miss_strobes(self, probability: float) -> None:
         """Let each strobe edge go unseen by all boards with that probability."""
@@ -274,8 +281,7 @@ class Bench:
     def _build_plant(self) -> Plant:
         parameters = self.parameters
         power_fitted = Terminal.MOTOR_POWER in self.boards.wiring.wires
-        # A step needs two latches. Each register is latched once a frame, or at every strobe when selects are wrong.
-        fastest = 0.5 if self._nominal_bus else self.clock.periods_per_frame / 4
+        fastest = self._most_steps_per_frame()
         if parameters.servos is None:
             return IdealPlant(
                 parameters.drive_train,
@@ -297,6 +303,28 @@ class Bench:
             max_steps_per_frame=fastest,
             counter_limit_steps=parameters.counter_limit_steps,
         )
+
+    def _most_steps_per_frame(self) -> float:
+        """A step needs two latches: registers are latched once a frame, or at every strobe when selects are wrong."""
+        return 0.5 if self.boards.wiring == standard_wiring() else self.clock.periods_per_frame / 4
+
+    def _find_power_bit(self) -> int:
+        wire = self.boards.wiring.wires.get(Terminal.MOTOR_POWER)
+        return 0 if wire is None or wire.stuck is not None else 1 << wire.bit
+
+    def _watch_power(self, first_frame: int, block: WordArray) -> None:
+        """Look at the first word of each frame: what is shorter than a frame fills no counter."""
+        levels = block[:: self.clock.periods_per_frame] & np.uint32(self._power_mask)
+        changed = np.flatnonzero(levels != self._power_level)
+        if changed.size:
+            self._power_switched(first_frame + int(changed[0]), int(block[-1]))
+
+    def _power_switched(self, frame: int, word: int) -> None:
+        """Motors without power let their counters run full: promises reckoned with power."""
+        self._power_level = word & self._power_mask
+        until = frame + self.plant.steady_frames_without_power()
+        if until < self._steady_until:
+            self._withdraw_promise(until)
 
     def _refuse_gap(self, frame: int) -> None:
         raise BenchConfigError(

@@ -77,13 +77,12 @@ class IdealPlant:
         self.estop_open = False
         self._clock = clock
         self._limit = counter_limit_steps
-        self._max_steps_per_frame = max_steps_per_frame
         self._power_fitted = power_fitted
         self._relay = not power_fitted
         to_joint = drive_train.joints_from_steps().tolist()
         self._rows = tuple(tuple((m, e) for m, e in enumerate(row) if e) for row in to_joint)
         self._start_steps: list[float] = (drive_train.steps_from_joints() @ np.asarray(start_deg)).tolist()
-        self._joint_bounds = tuple(sum(abs(e) for _, e in row) * max_steps_per_frame for row in self._rows)
+        self.bound_steps(max_steps_per_frame)
         self._commanded = [0] * ARM_MOTOR_COUNT
         self._accepted = [0] * ARM_MOTOR_COUNT
         self._actual = [0] * ARM_MOTOR_COUNT
@@ -140,14 +139,31 @@ class IdealPlant:
         """Whether the board raises OVERFLOW."""
         return any(motor in self._overflowed for motor in MOTORS_OF_BOARD[board])
 
+    def bound_steps(self, max_steps_per_frame: float) -> None:
+        """So many steps of a motor the bus can carry."""
+        self._max_steps_per_frame = max_steps_per_frame
+        self._joint_bounds = tuple(sum(abs(e) for _, e in row) * max_steps_per_frame for row in self._rows)
+
     def steady_frames(self) -> int:
         """Frames for which no overflow line can change."""
         if self._overflowed:
             return 1  # a master reset can come with the next word
-        fullest = 0
         if self._accepted != self._actual:
             fullest = max(abs(error) for error in self.counter_error_steps)
-        return max(1, int((self._limit - fullest) / self._max_steps_per_frame) - 1)
+            return max(1, int((self._limit - fullest) / self._max_steps_per_frame) - 1)
+        frames = self.steady_frames_without_power()
+        if self.powered and not self.disturbances.stalled:
+            # A motor that turns freely keeps its counter empty, up to an end stop.
+            to_stop = min(
+                self.frames_to_travel(joint, min(angle - stop.low_deg, stop.high_deg - angle))
+                for joint, (angle, stop) in enumerate(zip(self.joint_deg, END_STOPS, strict=True))
+            )
+            frames = max(frames, to_stop)
+        return frames
+
+    def steady_frames_without_power(self) -> int:
+        """As many as it takes to fill an empty counter."""
+        return max(1, int(self._limit / self._max_steps_per_frame) - 1)
 
     def frames_to_travel(self, joint: int, distance_deg: float) -> int:
         """From the fastest steps that the bus can command."""

@@ -3,8 +3,9 @@
 Only `loop.time()`, `loop.call_at()` and `loop.call_soon()` are used, so the same code is paced by the wall clock or
 jumps on a virtual one. A process that was late runs every frame it missed; time is never skipped and never dropped.
 
-The board is run at regular ticks, which is when its unasked messages leave. Ticks at which it surely has nothing to
-say are left out, and the frames they would have made are made later in one piece; the others keep their times.
+The board is run at regular ticks, and shortly after bytes have reached it, which is when its messages leave. Times at
+which it surely has nothing to say are left out, and the frames they would have made are made later in one piece; the
+others stay as they were.
 
     host ── write ──► line to board ──► at its arrival: run the board to now, let it receive
     host ◄─ data ─── line to host  ◄── after every run: what the board has sent
@@ -62,9 +63,10 @@ class PacedBoard:
         self._on_plug: Callable[[bool], None] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._closed = False
-        self._ticked_s = loop.time()
+        # A tick, past or next, from which the others follow; it may be one that was left out.
+        self._grid_s = loop.time()
         emulator.bench.on_withdrawal = self._leave_no_tick_out
-        self._wake_at(self._ticked_s + tick_s)
+        self._wake_at(self._next_tick_s())
 
     # ------------------------------------------------------------ the port's side
 
@@ -180,25 +182,32 @@ class PacedBoard:
         self.emulator.receive(data)
         self._follow_frame_length()
         self._collect()
-        self._wake_at(min(self._next_tick_s(), self.loop.time() + _ANSWER_FRAMES * self._frame_s))
+        self._grid_s = min(self._next_tick_s(), self.loop.time() + _ANSWER_FRAMES * self._frame_s)
+        self._wake_at_first_needed(self._grid_s)
 
     def _tick(self) -> None:
         self._timer = None
         if self._closed:
             return
         self._run()
-        self._ticked_s = self.loop.time()
-        quiet_until = self.emulator.quiet_until()
-        latest_s = self._ticked_s + _LEFT_OUT_S
-        at_s = self._ticked_s + self._tick_s
-        while at_s < latest_s and self.frame_at(at_s) <= quiet_until:
-            at_s += self._tick_s
-        self._wake_at(at_s)
+        self._grid_s = self.loop.time()
+        self._wake_at_first_needed(self._grid_s + self._tick_s)
+
+    def _wake_at_first_needed(self, tick_s: float) -> None:
+        """Wake at the first tick from `tick_s` on at which the board may have something to say."""
+        latest_s = self.loop.time() + _LEFT_OUT_S
+        if tick_s < latest_s:
+            quiet_until = self.emulator.quiet_until()
+            while tick_s < latest_s and self.frame_at(tick_s) <= quiet_until:
+                tick_s += self._tick_s
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self.loop.call_at(tick_s, self._tick)
 
     def _next_tick_s(self) -> float:
         """When the next tick would be, had none been left out."""
         now_s = self.loop.time()
-        at_s = self._ticked_s + self._tick_s
+        at_s = self._grid_s
         while at_s <= now_s:
             at_s += self._tick_s
         return at_s

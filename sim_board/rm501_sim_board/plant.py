@@ -105,8 +105,14 @@ class Plant(Protocol):
     def overflow_line(self, board: Board) -> bool:
         """Whether the board raises OVERFLOW."""
 
+    def bound_steps(self, max_steps_per_frame: float) -> None:
+        """From now on the bus can carry so many steps of a motor in a frame, and no more."""
+
     def steady_frames(self) -> int:
-        """For how many frames no overflow line can change, whatever is commanded."""
+        """For how many frames no overflow line can change, whatever is commanded while the motors keep their power."""
+
+    def steady_frames_without_power(self) -> int:
+        """For how many frames, from one in which the port words switch power, that promise lasts at least."""
 
     def frames_to_travel(self, joint: int, distance_deg: float) -> int:
         """Frames for which `joint` surely moves less than that, whatever is commanded; may be 0."""

@@ -18,7 +18,14 @@ import numpy as np
 from rm501_sim_board.driver_boards import MOTORS_OF_BOARD, Board, BusActivity, IntArray
 from rm501_sim_board.geometry import ARM_MOTOR_COUNT, END_STOPS, DriveTrain, FloatArray, Joint, Motor
 from rm501_sim_board.loads import ArmLoads, JointLoads
-from rm501_sim_board.plant import DEFAULT_COUNTER_LIMIT_STEPS, TRACE_SECONDS, Disturbances, FrameClock, MotorTrace
+from rm501_sim_board.plant import (
+    DEFAULT_COUNTER_LIMIT_STEPS,
+    NEVER_FRAMES,
+    TRACE_SECONDS,
+    Disturbances,
+    FrameClock,
+    MotorTrace,
+)
 from rm501_sim_board.randomness import stream
 from rm501_sim_board.servo import LEAST_FRICTION_FACTOR, ServoAxis, ServoParameters
 
@@ -185,6 +192,10 @@ class ServoPlant:
         """Whether the board raises OVERFLOW."""
         return any(self.axes[motor].overflowed for motor in MOTORS_OF_BOARD[board])
 
+    def bound_steps(self, max_steps_per_frame: float) -> None:
+        """So many steps of a motor the bus can carry."""
+        self._max_steps_per_frame = max_steps_per_frame
+
     def steady_frames(self) -> int:
         """Frames for which no overflow line can change."""
         frames = 1 << 30
@@ -198,6 +209,10 @@ class ServoPlant:
             time_s = _time_to_cover(room - abs(axis.content(command)), command_steps_s + speed, push)
             frames = min(frames, int(time_s / frame_s))
         return max(1, frames - self._sample_frames)
+
+    def steady_frames_without_power(self) -> int:
+        """`steady_frames` reckons with the largest torques either way: power makes no difference."""
+        return NEVER_FRAMES
 
     def frames_to_travel(self, joint: int, distance_deg: float) -> int:
         """From the present speeds and the largest torques; no motor is ever faster than without load."""

@@ -9,6 +9,7 @@ from rm501_protocol.board_config import InputId
 from rm501_sim_board.bench import Bench
 from rm501_sim_board.errors import BenchConfigError
 from rm501_sim_board.presets import at_pose, preset
+from rm501_sim_board.wiring import Terminal
 from tests.support.port_words import run_words, step_words
 
 POWER = {"MOTOR_POWER": True}
@@ -55,6 +56,48 @@ def test_inputs_read_when_a_promise_ends_are_those_read_every_frame(name, seed) 
     assert len(changes) > 3  # something did change on the way
     assert [(c.frame, c.word) for c in changes] == [(c.frame, c.word) for c in lazy.recording.inputs]
     assert settled < 2000  # and the promises were worth something
+
+
+def _read_lazily_and_every_frame(words: np.ndarray, at_frame: int = -1, change=lambda bench: None) -> list[int]:
+    """Both readings of the same words agree; the lengths of the promises that the lazy one relied on."""
+    every, lazy = Bench(preset("ideal")), Bench(preset("ideal"))
+    promises, until = [], 0
+    frames = len(words) // 8
+    for frame in range(frames):
+        if frame == at_frame:
+            change(every)
+            change(lazy)
+        every.world_changed()
+        word = lazy.read_inputs(frame)
+        assert every.read_inputs(frame) == word, frame
+        until = lazy.inputs_stable_until(frame)
+        promises.append(until - frame)
+        for bench in (every, lazy):
+            bench.write_frame(frame, words[8 * frame : 8 * frame + 8].tolist())
+    assert every.truth(frames) == lazy.truth(frames)
+    return promises
+
+
+def test_counters_of_motors_that_turn_freely_promise_more_until_the_words_switch_power_off() -> None:
+    running = [({"waist": bool(frame % 2)}, {}) for frame in range(600)]
+    words = np.concatenate([run_words([({}, {})], POWER), run_words(running, POWER), run_words(running)])
+    promises = _read_lazily_and_every_frame(words)
+    assert max(promises[:600]) > 600  # a counter without power is full after 255
+    assert 200 < max(promises[602:640]) < 256
+    blocks = Bench(preset("ideal"))
+    blocks.write_block(0, words[:8])
+    assert blocks.inputs_stable_until(1) > 700
+    blocks.write_block(1, words[8 : 8 * 602])
+    assert blocks.inputs_stable_until(602) <= 601 + 255
+
+
+def test_a_cable_that_changes_voids_promises_and_may_carry_more_steps() -> None:
+    running = [({"waist": bool(frame % 2)}, {}) for frame in range(500)]
+    words = np.concatenate([run_words([({}, {})], POWER), run_words(running, POWER)])
+    promises = _read_lazily_and_every_frame(
+        words, 400, lambda bench: bench.rewire(bench.boards.wiring.stuck(Terminal.SHOULDER_SELECT, True))
+    )
+    assert promises[400] < 0.3 * promises[399]
 
 
 def test_a_stroke_moves_the_fingers_an_object_stops_them_and_hangs_on_the_arm() -> None:
