@@ -210,3 +210,31 @@ def test_a_stop_during_an_abort_is_shown_as_a_stop(tmp_path: Path, delay_ms: int
             assert (machine.state, machine.cause) == (MachineState.OFF, causes.OPERATOR_STOP)
 
     run_virtual(scenario())
+
+
+def test_a_line_that_falls_silent_as_a_motion_begins_is_what_is_told(tmp_path: Path) -> None:
+    """The motion is not begun, and the board is asked in vain where it stands, until after the connection is lost."""
+    told: set[str] = set()
+
+    async def scenario() -> None:
+        async with running_service(tmp_path, "emu://begins-silent?preset=ideal&seed=1") as service:
+            machine = service.machine
+            await homed(service)
+            faults = running_board("begins-silent").faults
+            for phase in range(5):  # of the looks at whether the board is silent, 0.75 s apart
+                await operations.move_joints(machine, ME, START).wait()
+                await asyncio.sleep(0.15 * phase)
+                job = operations.move_joints(machine, ME, NEXT)
+                await asyncio.sleep(0.008)
+                faults.inject("drop:p=1/7s")
+                await _until(lambda: not machine.connected)
+                await _until(lambda: machine.connected)
+                await asyncio.sleep(10.0)
+                assert job.done.is_set()
+                assert machine.state is MachineState.ESTOP and machine.cause is not None
+                told.add(re.sub(r"for \d s", "for some s", machine.cause.text))
+                await machine.reset(ME)
+            shut_down("begins-silent")
+
+    run_virtual(scenario())
+    assert told == {"the connection to the board is lost: it has been silent for some s"}
