@@ -12,9 +12,11 @@ where the arm stands to its end, of two kinds of parts::
 Back outside, the line goes on from where the tool is and returns to the wanted one in a smooth curve. At both borders
 l is 0, so that the joints' rates are continuous all along; the time law does the rest, under every limit.
 
-The way ends at a joint limit, a keep-out zone, or where damping has no progress left to give: it would advance at less
-than `LEAST_PROGRESS` of the wanted speed, or three times faster sideways than onwards (as fast, once it is
-`FREE_DEVIATION_MM` off its line), or is off by `MOST_DEVIATION_MM`. The reason is kept.
+The way ends at a joint limit, a keep-out zone, where its line leaves the reach of the arm, or where damping has no
+progress left to give: it would advance at less than `LEAST_PROGRESS` of the wanted speed, or three times faster
+sideways than onwards (as fast, once it is `FREE_DEVIATION_MM` off its line), or is off by `MOST_DEVIATION_MM`. The
+reason is kept. The line is left only where it goes on behind the singularity: an arm that is stretched out stops on its
+line, where damping would begin, 0.03 mm before the edge of its reach, and comes back as it went.
 
 What is held besides the place: pitch and roll of the arm. Only where programs give orientations in the room (XYZABC)
 and the tool is vertical, the hand keeps its direction in the room while the waist turns.
@@ -22,7 +24,7 @@ and the tool is vertical, the hand keeps its direction in the room while the wai
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +43,10 @@ Array = NDArray[np.float64]
 LEAST_PROGRESS = 0.03
 """Of the wanted speed; below it a person would see no motion any more."""
 FREE_DEVIATION_MM = 5.0
-"""What passing the waist axis may cost; a stretched arm that slides along the edge of its reach gets to it, too."""
-MOST_DEVIATION_MM = 20.0
+"""What passing the waist axis may cost."""
+EDGE_DEVIATION_MM = 0.05
+"""What the tool may be off a point that is out of reach before its line is given up: less than the arm repeats."""
+MOST_DEVIATION_MM = 10.0
 MOST_DEVIATION_DEG = 15.0
 _SAMPLE = 0.5
 """Spacing of the samples of a straight part, mm or deg; finer around its end."""
@@ -73,6 +77,9 @@ class Blocked(NamedTuple):
     text: str
 
 
+_BEYOND_REACH = Blocked(False, "the line leaves the reach of the arm; jog another way")
+
+
 @dataclass(slots=True)
 class JogPath:
     """The elements of the way, how far along the wanted direction it leads (mm or deg), why it ends there, and how
@@ -84,6 +91,10 @@ class JogPath:
     reason: str = ""
     deviation_mm: float = 0.0
     deviation_deg: float = 0.0
+
+    def copy(self) -> JogPath:
+        """Another one with the same parts."""
+        return replace(self, elements=list(self.elements))
 
     @property
     def is_damped(self) -> bool:
@@ -113,7 +124,11 @@ class JogWalker:
         for _ in range(_PARTS):
             blocked, q = self._straight(path, q, wanted, heading, farthest)
             if blocked is not None and blocked.at_singularity:
+                before = path.copy()
                 blocked, q = self._damped(path, q, wanted, heading, farthest)
+                if blocked is _BEYOND_REACH and before.elements:
+                    # damping does not lead back to the line: the way ends where it would begin
+                    path = before
             elif blocked is None and path.reach < farthest - _SHORTEST_PART:
                 continue
             if blocked is not None or path.reach >= farthest - _SHORTEST_PART:
@@ -256,22 +271,35 @@ class JogWalker:
         return q + step / 6.0 * (r1 + 2.0 * r2 + 2.0 * r3 + r4), step / 6.0 * (g1 + 2.0 * g2 + 2.0 * g3 + g4)
 
     def _stuck(self, q: Array, rate: Array, progress: float, line: Array, heading: Heading) -> Blocked | None:
-        """Why damping leads no farther from joints q, or None."""
+        """Why damping leads no farther from joints q, or None. `line` (5,): the point of the wanted line that the tool
+        is nearest to.
+        """
         what = " and ".join(str(s.kind.value) for s in self._arm.singularities(q)) or "a singularity"
+        off = self._task_of(q, heading) - line
+        if np.linalg.norm(off[:3]) > EDGE_DEVIATION_MM and not self._reaches(line, q):
+            return _BEYOND_REACH
+        is_edge = not self._reaches(line + heading.direction, q)
         if progress < LEAST_PROGRESS:
-            return Blocked(False, f"no way on: {what}")
+            return _BEYOND_REACH if is_edge else Blocked(False, f"no way on: {what}")
         moved = self._jacobian(q[None], heading)[0] @ np.radians(rate)
         wanted = heading.direction.copy()
         wanted[3:] = np.radians(wanted[3:])
         sideways = float(np.linalg.norm(self._task * (moved - progress * wanted)))
         onwards = progress * float(np.linalg.norm(self._task * wanted))
-        off = self._task_of(q, heading) - line
         is_free = float(np.linalg.norm(off[:3])) < FREE_DEVIATION_MM
         if sideways > (_FREE_RATIO if is_free else 1.0) * onwards:
-            return Blocked(False, f"only sideways from here: {what}")
+            return _BEYOND_REACH if is_edge else Blocked(False, f"only sideways from here: {what}")
         if np.linalg.norm(off[:3]) > MOST_DEVIATION_MM or np.abs(off[3:]).max() > MOST_DEVIATION_DEG:
             return Blocked(False, f"too far off the line: {what}")
         return None
+
+    def _reaches(self, line: Array, q: Array) -> bool:
+        """Whether a point of the line (5,) is within reach as the arm stands, joint limits aside: not with the waist
+        turned round.
+        """
+        branch = self._arm.branch_of(q)
+        found, _ = self._arm.ik_batch(line[None, :3], line[None, 3], np.zeros(1), branch, float(q[0]))
+        return not np.isnan(found).any()
 
     # ------------------------------------------------------------------------------------------------- the arm
 
