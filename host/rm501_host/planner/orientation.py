@@ -10,14 +10,13 @@ come from five-point central differences: the functions are smooth on a scale of
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rm501_host.kinematics import Arm, Branch
-from rm501_host.kinematics.program_frame import read_orientation_rows
+from rm501_host.kinematics.program_frame import read_wrist_rows
 from rm501_host.kinematics.rotations import matrix_from_rpy
 from rm501_host.moves import Source
 
-from .elements import Array, Element, Indices
+from .elements import Array, Element, ElementTable, Indices
 from .errors import OrientationError
 
 STEP = 0.1
@@ -49,10 +48,17 @@ class OrientedCurve:
         self._branch = branch
         self._places = places
         self._waist_deg = waist_deg
-        self._first = arm.frame.rotation @ matrix_from_rpy(first_rpy_deg)
+        self._places_alone = ElementTable([places])
+        first = arm.frame.rotation @ matrix_from_rpy(first_rpy_deg)
         last = arm.frame.rotation @ matrix_from_rpy(last_rpy_deg)
-        self._vector = rotation_vector(self._first.T @ last)
-        count = int(knot_counts(np.array(places.length), np.array(np.linalg.norm(self._vector))))
+        vector = rotation_vector(first.T @ last)
+        self._angle_rad = float(np.linalg.norm(vector))
+        # frame 5 turns as R5 = still + sin(angle) sine + (1 - cos(angle)) cosine (Rodrigues)
+        cross = _cross(vector / self._angle_rad) if self._angle_rad else np.zeros((3, 3))
+        self._tilt = np.array(arm.geometry.tilt).reshape(3, 3)
+        still, sine, cosine = (first @ part @ self._tilt.T for part in (np.eye(3), cross, cross @ cross))
+        self._still, self._sine, self._cosine = still[:, :, None], sine[:, :, None], cosine[:, :, None]
+        count = int(knot_counts(np.array(places.length), np.array(self._angle_rad)))
         self._look(count, start_task)
         if self.residual_deg > WELL_WITHIN * arm.frame.tolerance_deg and count < MOST_KNOTS:
             self._look(MOST_KNOTS, start_task)
@@ -72,13 +78,10 @@ class OrientedCurve:
 
     def evaluate(self, s: Array) -> tuple[Array, Array, Array]:
         """Values, first and second derivatives, each (n, 5)."""
-        values, slopes, bends = self._places.evaluate(s)
+        values, slopes, bends = self._evaluate_places(s)
         h = STEP
-        pitch, roll = [], []
-        for k in (-2, -1, 0, 1, 2):
-            p, r = self._continuous(s + k * h)
-            pitch.append(p)
-            roll.append(r)
+        around = np.concatenate([s + k * h for k in (-2, -1, 0, 1, 2)])
+        pitch, roll = (angles.reshape(5, len(s)) for angles in self._continuous(around))
         for column, f in ((3, pitch), (4, roll)):
             values[:, column] = f[2]
             slopes[:, column] = (f[0] - 8.0 * f[1] + 8.0 * f[3] - f[4]) / (12.0 * h)
@@ -86,7 +89,7 @@ class OrientedCurve:
         return values, slopes, bends
 
     def _continuous(self, s: Array) -> tuple[Array, Array]:
-        pitch, roll = self._read(s)[2:]
+        _, _, pitch, roll = self._read(s)
         near_pitch = np.interp(s, self._knots, self._pitch_knots)
         near_roll = np.interp(s, self._knots, self._roll_knots)
         return (
@@ -94,19 +97,21 @@ class OrientedCurve:
             roll - 360.0 * np.rint((roll - near_roll) / 360.0),
         )
 
+    def _evaluate_places(self, s: Array) -> tuple[Array, Array, Array]:
+        return self._places_alone.evaluate(np.zeros(len(s), dtype=np.intp), s)
+
     def _read(self, s: Array) -> tuple[Array, Array, Array, Array]:
-        """The orientation wanted, and the waist, pitch and roll that come nearest to it."""
-        xyz = self._places.evaluate(s)[0][:, :3]
-        wanted = self._first @ _rotations(self._vector, s / self._places.length)
-        waist, pitch, roll = read_orientation_rows(
-            self._arm.geometry, xyz, wanted, self._branch.is_front, self._waist_deg
-        )
-        return wanted, waist, pitch, roll
+        """The orientation wanted, of frame 5, and the waist, pitch and roll that come nearest to it."""
+        xyz = self._evaluate_places(s)[0][:, :3]
+        turned = s / self._places.length * self._angle_rad
+        r5 = (self._still + np.sin(turned) * self._sine + (1.0 - np.cos(turned)) * self._cosine).transpose(2, 0, 1)
+        waist, pitch, roll = read_wrist_rows(self._arm.geometry, xyz, r5, self._branch.is_front, self._waist_deg)
+        return r5, waist, pitch, roll
 
     def _angles(self, s: Array) -> tuple[Array, Array, Array]:
-        wanted, waist, pitch, roll = self._read(s)
+        r5, waist, pitch, roll = self._read(s)
         got = self._arm.fk_batch(np.stack((waist, np.zeros_like(waist), np.zeros_like(waist), pitch, roll), axis=1))[1]
-        cosine = 0.5 * (np.einsum("nij,nij->n", wanted, got) - 1.0)
+        cosine = 0.5 * (np.einsum("nij,nij->n", r5 @ self._tilt, got) - 1.0)
         return pitch, roll, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
@@ -154,15 +159,7 @@ def rotation_vector(rotation: Array) -> Array:
     return axis / np.linalg.norm(axis) * np.pi
 
 
-def _rotations(vector: Array, shares: Array) -> Array:
-    """Rotations (n, 3, 3) by `shares` of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.broadcast_to(np.eye(3), (len(shares), 3, 3))
-    x, y, z = vector / angle
-    cross: NDArray[np.float64] = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
-    turned = shares * angle
-    result: Array = (
-        np.eye(3) + np.sin(turned)[:, None, None] * cross + (1.0 - np.cos(turned))[:, None, None] * (cross @ cross)
-    )
-    return result
+def _cross(axis: Array) -> Array:
+    """The matrix (3, 3) of the cross product with a vector."""
+    x, y, z = axis
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,51 +78,64 @@ class Plan:
 
     def sample(self, dt_s: float = SAMPLE_S) -> PlanSamples:
         """The law every `dt_s`, and at its end."""
-        if not self.pieces:
-            raise ValueError("an empty plan has no samples")
-        first = self.pieces[0].start_s
-        count = int(np.floor(self.duration_s / dt_s + 1e-9))
-        t_s: Array = np.arange(count + 1, dtype=np.float64) * dt_s
-        if self.duration_s - t_s[-1] > 1e-9:
-            t_s = np.append(t_s, self.duration_s)
+        t_s = self._times_s(dt_s)
         n = len(t_s)
         q_deg, rates, accelerations = np.zeros((n, 5)), np.zeros((n, 5)), np.zeros((n, 5))
         tcp_mm, hand, line = np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=np.int64)
-        at = 0
         pulses = 0.0
-        timed = [piece for piece in self.pieces if piece.duration_s > 0.0]
-        for piece in self.pieces:
-            last = bool(timed) and piece is timed[-1]
-            stop = n if last else int(np.searchsorted(t_s, piece.end_s - first, side="left"))
-            if piece.duration_s > 0.0 and stop > at:
-                rows = slice(at, stop)
-                time_s = np.minimum(t_s[rows] + first - piece.start_s, piece.duration_s)
-                q_deg[rows], rates[rows], accelerations[rows] = piece.states(time_s)
+        for piece, rows, time_s in self._spans(t_s):
+            if rows.stop > rows.start:
+                if piece.duration_s > 0.0:
+                    q_deg[rows], rates[rows], accelerations[rows] = piece.states(time_s)
+                    line[rows] = piece.lines(time_s)
+                    hand[rows] = pulses + _hand_pulses(piece, time_s, self._config)
+                else:
+                    hand[rows] = pulses
+                    q_deg[rows] = piece.rest_deg
+                    line[rows] = piece.source.line
                 tcp_mm[rows] = (piece.arm or self._arm).fk_batch(q_deg[rows])[0]
-                line[rows] = piece.lines(time_s)
-                hand[rows] = pulses + _hand_pulses(piece, time_s, self._config)
-            elif stop > at:
-                hand[at:stop] = pulses
-                q_deg[at:stop] = piece.rest_deg
-                tcp_mm[at:stop] = (piece.arm or self._arm).fk_batch(q_deg[at:stop])[0]
-                line[at:stop] = piece.source.line
-            at = max(at, stop)
             pulses += sum(event.value for event in piece.events if event.kind is EventKind.HAND)
         motors = np.concatenate((self._arm.motors_from_joints(q_deg), hand[:, None]), axis=1)
         return PlanSamples(t_s, q_deg, rates, accelerations, tcp_mm, motors, line)
 
     def limits(self, samples: PlanSamples | None = None) -> LimitRatios:
         """The largest ratios at the samples (every millisecond where none are given)."""
-        samples = samples or self.sample()
+        if samples is not None:
+            rates, accelerations = samples.qd_deg_s, samples.qdd_deg_s2
+        else:
+            t_s = self._times_s(SAMPLE_S)
+            rates, accelerations = np.zeros((len(t_s), 5)), np.zeros((len(t_s), 5))
+            for piece, rows, time_s in self._spans(t_s):
+                if rows.stop > rows.start and piece.duration_s > 0.0:
+                    _, rates[rows], accelerations[rows] = piece.states(time_s)
         limits = self._limits
-        motor_rates = self._arm.motors_from_joints(samples.qd_deg_s)
-        motor_accelerations = self._arm.motors_from_joints(samples.qdd_deg_s2)
+        motor_rates = self._arm.motors_from_joints(rates)
+        motor_accelerations = self._arm.motors_from_joints(accelerations)
         return LimitRatios(
-            float((np.abs(samples.qd_deg_s) / limits.joint_velocity_deg_s).max()),
-            float((np.abs(samples.qdd_deg_s2) / limits.joint_acceleration_deg_s2).max()),
+            float((np.abs(rates) / limits.joint_velocity_deg_s).max()),
+            float((np.abs(accelerations) / limits.joint_acceleration_deg_s2).max()),
             float((np.abs(motor_rates) / limits.motor_rate_steps_s).max()),
             float((np.abs(motor_accelerations) / limits.motor_acceleration_steps_s2).max()),
         )
+
+    def _times_s(self, dt_s: float) -> Array:
+        """Every `dt_s` from the start, and the end."""
+        if not self.pieces:
+            raise ValueError("an empty plan has no samples")
+        t_s: Array = np.arange(int(np.floor(self.duration_s / dt_s + 1e-9)) + 1, dtype=np.float64) * dt_s
+        return np.append(t_s, self.duration_s) if self.duration_s - t_s[-1] > 1e-9 else t_s
+
+    def _spans(self, t_s: Array) -> Iterator[tuple[Piece, slice, Array]]:
+        """Every piece with the rows of `t_s` that fall into it, maybe none, and the piece's own times there."""
+        first = self.pieces[0].start_s
+        timed = [piece for piece in self.pieces if piece.duration_s > 0.0]
+        at = 0
+        for piece in self.pieces:
+            is_last = bool(timed) and piece is timed[-1]
+            stop = len(t_s) if is_last else int(np.searchsorted(t_s, piece.end_s - first, side="left"))
+            rows = slice(at, max(at, stop))
+            yield piece, rows, np.minimum(t_s[rows] + first - piece.start_s, piece.duration_s)
+            at = rows.stop
 
 
 def _hand_pulses(piece: Piece, time_s: Array, config: Config) -> Array:
