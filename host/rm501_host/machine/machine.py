@@ -549,9 +549,8 @@ class Machine:
                 self.write_log("fault", fault=fault.name, source=notice.source, value=notice.value, limit=notice.limit)
                 self._fault(causes.board_fault(fault), fault.name)
             case MotionEnded():
-                self.last_end = notice
-                if self.stream is not None:
-                    self.stream.motion_ended(notice)
+                if self.stream is None or self.stream.motion_ended(notice):
+                    self.last_end = notice
                 self.write_log("motion_ended", cause=notice.cause.name, motion_frame=notice.motion_frame)
             case LinkSilent(silent_us=silent_us):
                 self.write_log("link_silent", silent_us=silent_us)
