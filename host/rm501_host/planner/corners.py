@@ -15,7 +15,7 @@ where that leaves doubt.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import acos, pi
+from math import acos, pi, sqrt, tan
 
 import numpy as np
 
@@ -43,16 +43,25 @@ CLEARLY_SLOWER = 1.15
 rough law is legal, so passing never takes longer than it says, and up to 12 % shorter."""
 _SHORTEST_MM = 1e-6
 _PROBES = 17
+_SHARES = np.linspace(0.0, 1.0, 33)
+_QUINTIC_END = _SHARES**3 * (10.0 - 15.0 * _SHARES + 6.0 * _SHARES**2)
+_QUINTIC_SLOPE = _SHARES**3 * (-4.0 + 7.0 * _SHARES - 3.0 * _SHARES**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corner:
-    """What replaces a corner: `before` and `after` are cut off the two neighbours, `elements` go between."""
+    """What replaces a corner: `before` and `after` are cut off the two neighbours, `elements` go between. `spare_mm`:
+    how much is left of the tolerance.
+    """
 
     before: float
     after: float
     elements: tuple[Element, ...]
+    spare_mm: float = 0.0
 
+
+_LEAST_SHARE = 0.2
+"""Jerk-limited blends take half of both neighbours unless one is shorter than this share of the other."""
 
 SMOOTH = Corner(0.0, 0.0, ())
 
@@ -100,7 +109,7 @@ class CornerMaker:
         if corner is None and same and _angle(end_slope, start_slope) > SHARPEST_RAD:
             return None
         if corner is None:
-            corner = self._cubic(first, second, tolerance_mm)
+            corner = self._cubic(first, second, tolerance_mm, theta)
         if corner is None:
             return None
         if theta > CHECKED_RAD and not self._is_faster(first, used, second, corner):
@@ -116,41 +125,55 @@ class CornerMaker:
         curved = round_curves(first, second, tolerance_mm, SHARPEST_RAD)
         return None if curved is None else Corner(curved[0], curved[1], (curved[2],))
 
-    def _cubic(self, first: Element, second: Element, tolerance_mm: float) -> Corner | None:
-        """The cubic between equal cuts, made smaller until it keeps the tolerance."""
-        cut = 0.5 * min(first.length, second.length)
+    def _cubic(self, first: Element, second: Element, tolerance_mm: float, theta: float) -> Corner | None:
+        """The cubic between equal cuts, made smaller until it keeps the tolerance. Where the jerk is limited and the
+        turn by `theta` slight, half of both neighbours is taken, so that blends touch (`bends`).
+        """
+        before = after = 0.5 * min(first.length, second.length)
+        if (
+            self._jerk_limited
+            and theta <= CHECKED_RAD
+            and before > 0.5 * _LEAST_SHARE * max(first.length, second.length)
+        ):
+            before, after = 0.5 * first.length, 0.5 * second.length
         for _ in range(24):
-            if cut < _SHORTEST_MM:
+            if min(before, after) < _SHORTEST_MM:
                 return None
+            share = 0.5
             try:
-                blend, deviation_mm = self._cubic_at(first, second, cut)
+                blend, deviation_mm = self._cubic_at(first, second, before, after)
             except PlanError:
-                cut *= 0.5
-                continue
-            if deviation_mm <= tolerance_mm:
-                return Corner(cut, cut, (blend,))
-            cut *= min(0.9, max(0.2, 0.98 * tolerance_mm / deviation_mm))
+                pass
+            else:
+                if deviation_mm <= tolerance_mm:
+                    return Corner(before, after, (blend,), tolerance_mm - deviation_mm)
+                share = min(0.9, max(0.2, 0.98 * tolerance_mm / deviation_mm))
+            before, after = before * share, after * share
         return None
 
-    def _cubic_at(self, first: Element, second: Element, cut: float) -> tuple[Element, float]:
+    def _cubic_at(self, first: Element, second: Element, before: float, after: float) -> tuple[Element, float]:
         task = first.space is Space.TASK and second.space is Space.TASK and first.branch is second.branch
         space = Space.TASK if task else Space.JOINT
-        start, start_slope = self._ends(first, first.length - cut, task)
-        end, end_slope = self._ends(second, cut, task)
+        start, start_slope = self._ends(first, first.length - before, task)
+        end, end_slope = self._ends(second, after, task)
+        length = before + after
+        if self._jerk_limited and task:
+            length *= _arc_share(start_slope, end_slope)
         blend = replace(
-            self._joining(space, start, start_slope, end, end_slope, 2.0 * cut, first.source),
+            self._joining(space, start, start_slope, end, end_slope, length, first.source),
             feed_mm_s=min(first.feed_mm_s, second.feed_mm_s),
             rate=min(first.rate, second.rate),
             is_blend=True,
             branch=first.branch,
         )
+        if self._jerk_limited and task and first.is_straight and second.is_straight:
+            return blend, _deviation_mm(start_slope, end_slope, before, after, length)
         shares = np.linspace(0.0, 1.0, _PROBES)
         along = self._places(blend, blend.length * shares)
-        before = self._places(first, first.length - cut * (1.0 - shares))
-        after = self._places(second, cut * shares)
-        path = np.concatenate((before, after))
+        head = self._places(first, first.length - before * (1.0 - shares))
+        path = np.concatenate((head, self._places(second, after * shares)))
         deviation = float(_distances(along, path).max())
-        corner = float(_distances(before[-1:], along).max())
+        corner = float(_distances(head[-1:], along).max())
         return blend, max(deviation, corner) * 1.001
 
     def _joining(
@@ -193,6 +216,28 @@ class CornerMaker:
             return _ratio(self._judge, blended, head, second) < 1.0
         except PlanError:
             return False
+
+
+def _arc_share(start_slope: Array, end_slope: Array) -> float:
+    """How much shorter than both cuts an arc is that turns slightly from one direction (5,) into the other (5,)."""
+    if not (_is_travel(start_slope) and _is_travel(end_slope)):
+        return 1.0
+    half = 0.5 * _angle(start_slope[:3], end_slope[:3])
+    return half / tan(half) if 0.0 < half < 0.5 * CHECKED_RAD else 1.0
+
+
+def _deviation_mm(start_slope: Array, end_slope: Array, before: float, after: float, length: float) -> float:
+    """How far a quintic of `length` between two lines is from them at most, their corner included.
+
+    Compared at equal shares of the way it stands off by a multiple of the slopes' difference; nearest points are
+    nearer.
+    """
+    turn = end_slope[:3] - start_slope[:3]
+    whole = before + after
+    off = after * _QUINTIC_END + length * _QUINTIC_SLOPE - np.maximum(whole * _SHARES - before, 0.0)
+    # the start's slope over a length that is not the whole way
+    lag = (whole - length) * np.abs(_QUINTIC_END - _SHARES).max()
+    return 1.001 * (float(np.abs(off).max()) * sqrt(float(turn @ turn)) + float(lag))
 
 
 def _ratio(builder: GridBuilder, blended: list[Element], head: Element, second: Element) -> float:

@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from rm501_host.kinematics import Branch
 from rm501_host.moves import Source
 
+from .quintic import QuinticCurve, evaluate_quintics
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
@@ -139,7 +141,15 @@ class ElementTable:
         self.is_straight = np.array([e.is_straight for e in elements], dtype=bool)
         self.is_blend = np.array([e.is_blend for e in elements], dtype=bool)
         self._round = bool(self.omega.any())
-        self._curves = [i for i, e in enumerate(elements) if e.curve is not None]
+        curves = [(i, e.curve) for i, e in enumerate(elements) if e.curve is not None]
+        self._curves = [i for i, curve in curves if not isinstance(curve, QuinticCurve)]
+        quintics = [(i, curve.coefficients) for i, curve in curves if isinstance(curve, QuinticCurve)]
+        self._has_quintics = bool(quintics)
+        if quintics:
+            self._quintics = np.array([rows for _, rows in quintics])
+            self._quintic = np.full(len(elements), -1, dtype=np.intp)
+            self._quintic[[i for i, _ in quintics]] = np.arange(len(quintics))
+            self._curve_start = np.array([e.curve_start for e in elements])
 
     def __len__(self) -> int:
         return len(self.elements)
@@ -163,6 +173,11 @@ class ElementTable:
             values[:, :3] += size * circle
             slopes[:, :3] += size * turned + g * circle
             bends[:, :3] += -size * w * w * circle + 2.0 * g * turned
+        if self._has_quintics:
+            chosen = np.flatnonzero(self._quintic[index] >= 0)
+            used = index[chosen]
+            found = evaluate_quintics(self._quintics[self._quintic[used]], self._curve_start[used] + s[chosen])
+            values[chosen], slopes[chosen], bends[chosen] = found
         for i in self._curves:
             chosen = np.flatnonzero(index == i)
             if len(chosen):

@@ -138,10 +138,6 @@ class JerkLaw:
         w = self.window_s
         return (area1 - area0) / w, (s1 - s0) / (w * self.stretch), (v1 - v0) / (w * self.stretch**2)
 
-    def path_speeds(self, time_s: Array) -> Array:
-        """ds/dt of the average, (n,)."""
-        return self._path(time_s)[1]
-
     def _place(self, s: Array) -> tuple[Indices, Array]:
         base = self.base
         k = np.clip(np.searchsorted(self.way, s, side="right") - 1, 0, len(base.element) - 1)

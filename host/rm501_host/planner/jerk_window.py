@@ -5,8 +5,8 @@ settled settles the average up to the same time, and the average needs w of the 
 law is made twice, as if the path ended at the window's end and as if it went on; where both agree it is settled, except
 for the last 3 w, which are kept so that limits that are violated beyond can still be met by slowing down before.
 
-Where the average breaks a limit, the base law is slowed down: at first by caps on its speed, and once little is
-missing by taking from its accelerations too, in the intervals over which the average was taken, until all is legal.
+Where the average breaks a limit, the base law is slowed down in the intervals over which the average was taken: its own
+speeds by as much as is missing and its accelerations by the square of that, until all is legal.
 Nothing is committed before that, so what is committed can always be followed by the stop that was planned with it:
 should no legal law be found that leaves it at once, one is looked for that follows it a while. Only when there is none
 either, the arm comes to rest there and starts anew.
@@ -37,8 +37,6 @@ _LEGAL = 1.0004
 _GENTLE = 0.4
 _ROUNDS = 20
 """Where a law is found it takes 2 to 9."""
-_FINE = 1.03
-"""From here on accelerations are lowered too; caps alone do not make the last per cents."""
 _OVER = 1.0005
 """How much more than needed is taken, so that it comes to an end."""
 _FOLLOWED = (0.25, 0.5, 0.75, 1.0)
@@ -272,24 +270,15 @@ class JerkWindow:
         return JerkLaw.smoothed(base, self._window_s), len(past.element)
 
     def _slow_down(self, law: JerkLaw, begin: int, times: Array, ratios: Array) -> None:
-        """Where the average is too fast by `ratios`, (n,), lower what it is made of to the average that is allowed."""
-        count = len(self._scale)
-        needed, allowed = np.ones(count), np.full(count, np.inf)
-        bad = np.flatnonzero(ratios > 1.0)
-        first = np.searchsorted(law.base.time_s, times[bad] - self._window_s) - 1 - begin
-        last = np.searchsorted(law.base.time_s, times[bad]) - begin
-        speeds = (law.path_speeds(times[bad]) / (ratios[bad] * _OVER)) ** 2
-        for low, high, ratio, speed in zip(
-            first.tolist(), last.tolist(), ratios[bad].tolist(), speeds.tolist(), strict=True
-        ):
-            span = slice(max(0, low), max(0, high + 1))
-            needed[span] = np.maximum(needed[span], ratio)
-            allowed[span] = np.minimum(allowed[span], speed)
-        slower = needed > 1.0
-        factor = 1.0 / (needed * _OVER) ** 2
-        self._cap = np.minimum(self._cap, allowed)
-        fine = slower & (needed < _FINE)
-        self._scale = np.where(fine, self._scale * factor, self._scale)
+        """Where the average is too fast by `ratios`, (n,), slow down what it is made of: speeds by as much, and
+        accelerations by its square.
+        """
+        needed = _spread(law.base.time_s[begin:], times, ratios, self._window_s)
+        factor = np.where(needed > 1.0, 1.0 / (needed * _OVER) ** 2, 1.0)
+        speeds = law.base.speed[begin:]
+        own = np.maximum(speeds[:-1], speeds[1:]) ** 2
+        self._cap = np.where(needed > 1.0, np.minimum(self._cap, own * factor), self._cap)
+        self._scale = self._scale * factor
         self._keep_known_stop()
 
     def _keep_known_stop(self) -> None:
@@ -413,6 +402,32 @@ class JerkWindow:
 def _place(law: JerkLaw, time_s: float) -> Place:
     index, s = law.places(np.array([time_s]))
     return int(index[0]), float(s[0])
+
+
+def _spread(base_s: Array, times: Array, ratios: Array, window_s: float) -> Array:
+    """The largest of the `ratios` (n,) at `times` (n,) whose averages over the window contain each interval of the base
+    law, whose grid points are passed at `base_s` (m + 1,); (m,), at least 1.
+    """
+    first = np.searchsorted(times, base_s[:-1], side="left")
+    last = np.searchsorted(times, base_s[1:] + window_s, side="right")
+    return np.maximum(_largest(ratios, first, last), 1.0)
+
+
+def _largest(values: Array, first: Indices, last: Indices) -> Array:
+    """The largest of `values` from each of `first` to before each of `last` (n,); 0 where there are none.
+
+    Every range is covered by two that may overlap, whose lengths are a power of two.
+    """
+    sizes = np.maximum(last - first, 1)
+    level = np.frexp(sizes.astype(np.float64))[1] - 1
+    result = np.zeros(len(first))
+    row, span = values, 1
+    for k in range(int(level.max(initial=0)) + 1):
+        here = np.flatnonzero((level == k) & (last > first))
+        result[here] = np.maximum(row[first[here]], row[last[here] - span])
+        row = np.maximum(row[:-span], row[span:]) if len(row) > span else row
+        span *= 2
+    return result
 
 
 def _slowed(lines: IntervalLines, scale: Array, cap: Array) -> IntervalLines:

@@ -31,6 +31,7 @@ from rm501_host.moves import (
     ToolChange,
 )
 
+from .bends import TouchingBlend, joined
 from .corners import Corner, CornerMaker
 from .elements import Array, Element
 from .errors import PlanError
@@ -43,6 +44,7 @@ from .merging import LineMerger
 from .outputs import combined
 from .path import PathBuilder
 from .pieces import Action, EventKind, Piece, PieceEvent, PieceKind
+from .smoothing import LineSmoother
 from .window import Stretch, Window
 
 CHUNK_ELEMENTS = 256
@@ -70,9 +72,11 @@ class Planner:
         self._start_s = 0.0
         self._chain_s = 0.0
         self._merger = LineMerger()
+        self._smoother = LineSmoother()
         self._pending: Element | None = None
         self._used = 0.0
         self._ready: list[Element] = []
+        self._touching: TouchingBlend | None = None
         self._outputs: list[OutputChange] = []
         self._set_arm()
 
@@ -95,6 +99,7 @@ class Planner:
 
     def come_to_rest(self) -> Iterator[Piece]:
         """After `plan` has raised PlanError: the path up to the last element that can be planned, to rest there."""
+        self._settle_blend()
         ready, self._ready = self._ready, []
         self._pending = None
         for element in ready:
@@ -138,6 +143,8 @@ class Planner:
                 self._tolerance_mm = move.tolerance_mm or 0.0
                 merge_mm = move.naive_cam_tolerance_mm or 0.0 if move.mode is PathMode.BLEND else 0.0
                 self._merger.tolerance_mm = min(merge_mm, 0.5 * self._tolerance_mm)
+                is_moved = self._jerk_limited and move.mode is PathMode.BLEND
+                self._smoother.tolerance_mm = self._tolerance_mm if is_moved else 0.0
             case Dwell():
                 yield from self._stop()
                 yield from self._wait(PieceKind.DWELL, move.seconds, move.source)
@@ -217,12 +224,16 @@ class Planner:
         if self._speed_scale != 1.0:
             scale = self._speed_scale
             element = replace(element, feed_mm_s=element.feed_mm_s * scale, rate=element.rate * scale)
-        for finished in self._merger.add(element):
-            yield from self._join(finished)
+        for merged in self._merger.add(element):
+            for finished in self._smoother.add(merged):
+                yield from self._join(finished)
 
     def _join_held(self) -> Iterator[Piece]:
-        """Go on with the lines that were held back to be merged."""
-        for finished in self._merger.take():
+        """Go on with the lines that were held back to be merged or moved."""
+        for merged in self._merger.take():
+            for finished in self._smoother.add(merged):
+                yield from self._join(finished)
+        for finished in self._smoother.take():
             yield from self._join(finished)
 
     def _join(self, element: Element) -> Iterator[Piece]:
@@ -241,7 +252,9 @@ class Planner:
             return
         if corner.elements:
             blend = corner.elements[0]
-            corner = replace(corner, elements=(self._marked(blend, 0.5 * blend.length), *corner.elements[1:]))
+            share = corner.before / (corner.before + corner.after) if self._jerk_limited else 0.5
+            at = share * blend.length
+            corner = replace(corner, elements=(self._marked(blend, at), *corner.elements[1:]))
         else:
             element = self._marked(element, 0.0)
         self._pass_corner(pending, element, corner)
@@ -250,10 +263,25 @@ class Planner:
 
     def _pass_corner(self, pending: Element, element: Element, corner: Corner) -> None:
         last = pending.length - corner.before
-        if last - self._used > 1e-9:
+        is_straight_before = last - self._used > 1e-9
+        blend = TouchingBlend.of(corner.elements, corner.spare_mm) if self._jerk_limited else None
+        if self._touching is not None and blend is not None and not is_straight_before:
+            finished, blend = joined(self._touching, blend)
+            self._ready.append(finished)
+            self._touching = None
+        self._settle_blend()
+        if is_straight_before:
             self._ready.append(pending.trimmed(self._used, last))
-        self._ready.extend(corner.elements)
+        if blend is None:
+            self._ready.extend(corner.elements)
+        self._touching = blend
         self._pending, self._used = element, corner.after
+
+    def _settle_blend(self) -> None:
+        """The blend before the pending element is not touched by another one."""
+        if self._touching is not None:
+            self._ready.append(self._touching.finished())
+            self._touching = None
 
     def _advance(self) -> Iterator[Piece]:
         """Hand what is ready to the window and yield what is settled."""
@@ -271,6 +299,7 @@ class Planner:
         pending, self._pending = self._pending, None
         if pending is None:
             return
+        self._settle_blend()
         self._ready.append(pending.trimmed(self._used, pending.length))
         self._window.extend(self._ready)
         self._ready = []
