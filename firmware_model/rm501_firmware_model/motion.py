@@ -162,13 +162,21 @@ class Motion:
         return 1
 
     def gate(self, real_frame: int) -> int:
-        """Wait at a point of rest for the head segment's real frame; 1 in the frame that opens the gate."""
+        """Wait at a point of rest for the head segment's real frame; 1 in the frame that opens the gate, unless what is
+        queued by then does not allow to stop again.
+        """
         if self.braking:
             self.stand()
             return 0
         if (real_frame - self.start_frame) & FRAME_MASK >= HALF_RANGE:
             return 0
         self.gated = 0
+        if self.must_brake(self.target):
+            # the queue was cut, or the override raised, since the gate was closed
+            self.braking = 1
+            self.notices |= Notice.LOW_WATER
+            self.stand()
+            return 0
         self.rate = self.target
         self.phase = 0
         return 1

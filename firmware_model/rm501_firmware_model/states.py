@@ -114,7 +114,7 @@ _S = Stimulus
 # fmt: off
 RULES: dict[Stimulus, tuple[Rule, ...]] = {
     #                      BOOT       IDLE       READY        RUNNING       HOLDING       HELD       STOPPING   FAULT
-    _S.SEGMENT:           (_config,   _power,    _to_running, do,           do,           do,        _state,    _fault),
+    _S.SEGMENT:           (_config,   _power,    _started,    do,           do,           do,        _state,    _fault),
     _S.HOLD:              (skip,      skip,      _to_held,    _to_holding,  do,           do,        skip,      skip),
     _S.RESUME:            (_config,   _state,    skip,        skip,         _to_running,  _on_again, _state,    _fault),
     _S.SET_OVERRIDE:      (_config,   do,        do,          _to_holding,  _to_running,  _on_again, do,        do),

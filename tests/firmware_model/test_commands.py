@@ -299,6 +299,38 @@ def test_start_under_override_0_is_held_at_once() -> None:
     assert rig.state is BoardState.READY
 
 
+def test_a_pending_start_under_override_0_is_held_by_the_segment_that_lets_it_begin() -> None:
+    rig = Rig()
+    rig.send(SetOverride(0), rig.segment(1, MotorTerm(0, 0)), Start())
+    assert rig.state is BoardState.READY
+    rig.send(rig.segment(3000, MotorTerm(0, 0)))
+    assert rig.state is BoardState.HOLDING
+    rig.run(2)
+    assert rig.state is BoardState.HELD and rig.status().hold_cause is HoldCause.OVERRIDE
+    assert rig.status().fault is FaultCode.NONE
+    rig.send(SetOverride(ONE))
+    assert rig.state is BoardState.RUNNING
+
+
+def test_a_gate_does_not_open_onto_a_queue_that_is_too_short_to_stop_in() -> None:
+    """Gated under override 0, the override raised while it waits: what is queued lets nothing run at that rate."""
+    rig = Rig()
+    at = rig.board.frame + 100
+    rig.send(SetOverride(0), rig.segment(200, MotorTerm(0, 0, 1 << 20)), Start(True, at))
+    rig.run(5)
+    assert (rig.state, rig.status().hold_cause) == (BoardState.HELD, HoldCause.OVERRIDE)
+    rig.send(SetOverride(ONE))
+    assert rig.state is BoardState.RUNNING
+    rig.run(200)
+    status = rig.status()
+    assert (status.state, status.hold_cause) == (BoardState.HELD, HoldCause.LOW_WATER)
+    assert (status.motion_frame, status.fault) == (0, FaultCode.NONE)
+    rig.send(rig.segment(3000, MotorTerm(0, 200 << 12)), Resume(ResumeCause.REFILLED))
+    rig.run(6000)
+    assert rig.state is BoardState.HELD, "low water again, on the path"
+    assert rig.status().fault is FaultCode.NONE and rig.status().motion_frame > 2000
+
+
 def test_holds_have_causes_and_each_has_its_own_way_out() -> None:
     rig = to_held()
     refused = rig.refusal(Resume(ResumeCause.REFILLED))
