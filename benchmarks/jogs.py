@@ -1,4 +1,5 @@
-"""Cartesian jogs from random poses: every limit, the tool's speed, and how far damping takes the tool off its line.
+"""Cartesian jogs from random poses: every limit, the tool's speed, and how far damping takes the tool off its line; how
+long jogs and other motions take to begin.
 
     python -m benchmarks.jogs --n 200
 
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.starts import print_starts
 from rm501_host.config import load_config
 from rm501_host.errors import RefusedError
 from rm501_host.kinematics import Arm
@@ -89,6 +91,7 @@ def main() -> int:
         and off_mm < MOST_DEVIATION_MM + 0.1
         and back_mm < 1e-4
     )
+    good = print_starts() and good
     print(f"jogs: {'all targets met' if good else 'a target was MISSED'}")
     return 0 if good else 1
 

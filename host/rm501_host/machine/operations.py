@@ -18,6 +18,7 @@ from rm501_host.kinematics.results import Target6
 from rm501_host.machine.jobs import Job, JobKind
 from rm501_host.machine.lease import Owner
 from rm501_host.machine.machine import Machine
+from rm501_host.machine.states import MachineState
 from rm501_host.machine.zones import refuse_zones
 from rm501_host.motion import Homing
 from rm501_host.moves import Feed, HandMove, LinearMove, Move, Source
@@ -76,13 +77,14 @@ def move_linear(machine: Machine, who: Owner, target: Sequence[float], feed_mm_s
     goal = _target(target)
     _check_feed(feed_mm_s)
 
-    async def body(job: Job) -> None:
-        move = LinearMove(goal, Feed(feed_mm_s * 60.0), Source("(move_linear)", 0))
-        await _play(machine, lambda: _planned(machine, [move]))
+    machine.lease.require(who)
+    move = LinearMove(goal, Feed(feed_mm_s * 60.0), Source("(move_linear)", 0))
+    # planned before the job starts: what cannot be planned at all is refused at once
+    pieces = _planned(machine, [move]) if machine.state is MachineState.IDLE and not machine.arm_state.unhomed() else ()
 
-    if machine.arm_state.unhomed() == ():
-        # refuse before the job starts what cannot be planned at all
-        _planned(machine, [LinearMove(goal, Feed(feed_mm_s * 60.0), Source("(move_linear)", 0))])
+    async def body(job: Job) -> None:
+        await _play(machine, lambda: pieces)
+
     return machine.start_job(JobKind.MOVE, who, body)
 
 
