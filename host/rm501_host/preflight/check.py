@@ -49,6 +49,18 @@ BATCH = 512
 FEWEST_MOVES = 4
 """Shorter runs of moves are followed one by one."""
 MOST_ESTIMATED_MOVES = 20_000
+ONE_BY_ONE_COST = 12.0
+"""What a move that goes the general way costs, in short straight lines read and checked: measured, as those below."""
+SPLINE_COST = 120.0
+ARC_COST = 2.0
+TURNING_COST = 1.6
+"""Of a move where orientations are given as roll, pitch, yaw."""
+POINT_COST = 0.07
+"""Of each checked point but the ends."""
+TURNING_POINT_COST = 0.19
+"""The same where orientations are given as roll, pitch, yaw."""
+MOST_REFUSALS = 1000
+"""A program with so many errors is not checked any further: it has to be corrected first."""
 
 
 def check_program(
@@ -103,6 +115,16 @@ class ProgramCheck:
         return self._check.found.first_bad
 
     @property
+    def has_enough(self) -> bool:
+        """Whether so much is wrong that there is no use in going on."""
+        return self._check.found.errors >= MOST_REFUSALS
+
+    @property
+    def cost(self) -> float:
+        """How long reading and checking took so far, in short straight lines: what `[preflight] max_blocks` counts."""
+        return self._check.cost
+
+    @property
     def nominal_s(self) -> float:
         """What the moves checked so far take at their feeds and the largest joint rates, without accelerations."""
         return self._check.nominal_s
@@ -137,6 +159,9 @@ class ProgramCheck:
                     break
                 if count >= most:
                     stopped_by = f"{move.source}: more than {most} moves"
+                    break
+                if self.has_enough:
+                    stopped_by = f"{MOST_REFUSALS} errors"
                     break
                 count += 1
                 if estimate and len(kept) <= MOST_ESTIMATED_MOVES:
@@ -188,6 +213,8 @@ class _Check:
         self._margin_mm = 0.0
         self._taken = 0
         self.line = 0
+        self._least_cost = TURNING_COST if arm.frame.has_rpy else 1.0
+        self.cost = 0.0
 
     @property
     def q_deg(self) -> Array:
@@ -199,6 +226,7 @@ class _Check:
         """Check one move (some are checked when the batch is full)."""
         if move.source.line > self.line:
             self.line = move.source.line
+        self.cost += ARC_COST if isinstance(move, ArcMove) else self._least_cost
         if isinstance(move, self._in_runs):
             self._held.append(move)
             self._taken += 1
@@ -230,6 +258,8 @@ class _Check:
 
     def _take(self, move: Move | Action, number: int) -> None:
         start_deg = self._path.q_deg
+        if isinstance(move, RapidMove | LinearMove | ArcMove | SplineMove | JointMove):
+            self.cost += ONE_BY_ONE_COST
         try:
             match move:
                 case RapidMove():
@@ -299,7 +329,10 @@ class _Check:
     def _check_batch(self) -> None:
         batch, self._batch = self._batch, Batch()
         if len(batch):
+            self.cost += SPLINE_COST * batch.splines
+            each = TURNING_POINT_COST if self._path.arm.frame.has_rpy else POINT_COST
             for points in batch.parts():
+                self.cost += each * max(0, len(points.index) - 2 * points.moves)
                 self._along.check(self._path.arm, points, self._margin_mm)
 
 

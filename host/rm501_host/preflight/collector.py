@@ -22,6 +22,8 @@ class Collector:
         self._slow: dict[int, Finding] = {}
         self.first_bad: int | None = None
         """Number of the first move with an error."""
+        self.errors = 0
+        """How often an error was found, the same ones again counted too."""
 
     def is_new(self, source: Source, kind: FindingKind) -> bool:
         """Whether an error of this kind on this line would be kept: worth looking for a pose that helps."""
@@ -29,8 +31,10 @@ class Collector:
 
     def add(self, finding: Finding, number: int) -> None:
         """Keep a finding of move `number`; the same kind on the same line again only counts."""
-        if finding.severity is Severity.ERROR and (self.first_bad is None or number < self.first_bad):
-            self.first_bad = number
+        if finding.severity is Severity.ERROR:
+            self.errors += 1
+            if self.first_bad is None or number < self.first_bad:
+                self.first_bad = number
         key = (finding.source.file, finding.source.line, finding.kind)
         known = self._known.get(key)
         if known is not None:

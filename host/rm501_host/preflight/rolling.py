@@ -18,18 +18,16 @@ from dataclasses import dataclass
 
 from rm501_host.errors import ProgramRefusedError, Rm501Error
 from rm501_host.gcode.resolve import StillReading
-from rm501_host.moves import InputWait, LinearMove, Move, ProbeMove, Source
+from rm501_host.moves import InputWait, Move, ProbeMove, Source
 from rm501_host.planner.pieces import Action
 
-from .check import ProgramCheck
+from .check import MOST_REFUSALS, ProgramCheck
 from .findings import PreflightReport, Severity
 
 CHUNK = 512
 """Moves that are read and checked at once."""
 AHEAD_WHILE_RUNNING = 20_000
 """Checked moves to have in hand while the program runs: minutes of motion, a few megabytes."""
-OTHER_MOVES_COUNT = 12
-"""What is not a straight line takes about as long to check as so many lines; so do lines with roll, pitch, yaw."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +41,9 @@ class ProgramFault:
 class RollingCheck:
     """Moves of a program that have been checked, in order, each once.
 
-    `ahead`: how many moves are checked before the start (a straight line counts one, any other move
-    `OTHER_MOVES_COUNT`). `on_warning` is told of what is found while the program runs. Not thread-safe, but
-    `checked_to_line` and `is_complete` may be read from anywhere.
+    `ahead`: how many moves are checked before the start (one that takes longer to check than a short line counts for as
+    many as it takes, `ProgramCheck.cost`). `on_warning` is told of what is found while the program runs. Not
+    thread-safe, but `checked_to_line` and `is_complete` may be read from anywhere.
     """
 
     def __init__(
@@ -75,23 +73,22 @@ class RollingCheck:
 
     def before_start(self) -> PreflightReport:
         """Check as far as may be before the start. Raises GcodeError for a program that cannot be read so far."""
-        cost, stopped_by = 0, ""
+        silent, stopped_by = 0, ""
         moves: list[Move | Action] = []
         while not self.is_complete and not self._waits:
-            if cost >= self._ahead:
+            if self._check.cost + silent >= self._ahead:
                 stopped_by = f"more than {self._ahead} moves; the rest is checked as the program runs"
+                break
+            if self._check.has_enough:
+                stopped_by = f"{MOST_REFUSALS} errors"
                 break
             chunk = self._read()
             moves += chunk
-            for move in chunk:
-                if isinstance(move, StillReading):
-                    cost += move.blocks
-                else:
-                    cost += 1 if isinstance(move, LinearMove) else OTHER_MOVES_COUNT
+            self._check.flush()
+            silent += sum(move.blocks for move in chunk if isinstance(move, StillReading))
         if self._waits:
             what = "an input" if isinstance(moves[-1], InputWait) else "a probe"
             stopped_by = f"{moves[-1].source}: what follows depends on {what}"
-        self._check.flush()
         self._accept(moves)
         self._told = len(self._check.findings_since(0))
         return PreflightReport(self._check.findings, self._check.line, self.is_complete, stopped_by, self.checked)

@@ -38,8 +38,12 @@ def wiggle(count: int, first_line: int = 2) -> list[Move]:
     return moves
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_it_stops_at_the_first_move_that_the_preflight_of_all_would_name(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(3))
+def test_it_stops_at_the_first_move_that_the_preflight_of_all_would_name(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rm501_host.preflight.along.suggest_via", lambda *_: None)
+    monkeypatch.setattr("rm501_host.preflight.check.suggest_via", lambda *_: None)
     moves = random_program(random.Random(seed), 700)
     whole = ProgramCheck(ARM, CONFIG, PICK_START_DEG).run(moves, estimate=False)
     first_line = min(finding.source.line for finding in whole.errors)
@@ -216,11 +220,23 @@ def test_a_plan_that_fails_on_the_way_ends_at_rest(tmp_path: Path, monkeypatch: 
 
 
 def test_what_takes_longer_to_check_is_checked_less_far_before_the_start() -> None:
-    thesis = load_config(Path(__file__).parents[3] / "configs" / "thesis.toml")
-    arm = Arm.from_config(thesis)
-    x, y, z, a, b, c = arm.program_from_joints(thesis.home_deg)
-    moves = [LinearMove((x, y + 0.05 * (i % 2), z, a, b, c), FEED, at(i + 1)) for i in range(3000)]
-    slow = RollingCheck(ProgramCheck(arm, thesis, thesis.home_deg), iter(moves), 3000)
-    assert slow.before_start().moves == 512
-    quick = rolling(iter(wiggle(2999)), 3000)
+    long_lines = [LinearMove(target(270 + 60 * (i % 2), 0.01 * i, 200), FEED, at(i + 2)) for i in range(2999)]
+    slow = rolling(iter([RapidMove(target(330, 0, 200), at(1)), *long_lines]), 3000)
+    report = slow.before_start()
+    assert report.ok and report.moves == 1024
+    quick = rolling(iter(wiggle(2999)), 3500)
     assert quick.before_start().moves == 3000
+
+
+@pytest.mark.parametrize("runs", [True, False], ids=["run", "check"])
+def test_a_program_that_is_all_wrong_is_not_read_to_its_end(runs: bool) -> None:
+    moves = [LinearMove(target(900, i % 2, 200), FEED, at(i + 2)) for i in range(20_000)]
+    check = ProgramCheck(ARM, CONFIG, PICK_START_DEG)
+    if runs:
+        report = RollingCheck(check, iter(moves), 10**6).before_start()
+    else:
+        report = check.run(moves)
+    assert not report.ok and not report.complete
+    assert report.stopped_by == "1000 errors"
+    assert 1000 <= report.moves < 1000 + 1024
+    assert report.errors[0].source.line == 2
