@@ -55,11 +55,6 @@ class PlannedProgram:
             self._planned = tuple(self._count(self._with_notes()))
 
     @property
-    def is_planned(self) -> bool:
-        """Whether it has been planned to its end."""
-        return self._planned is not None
-
-    @property
     def moves_anything(self) -> bool:
         """Whether something in it moves, as far as is known."""
         return self._planned is None or any(piece.motion_s for piece in self._planned)
@@ -152,7 +147,11 @@ class PlannedProgram:
             for piece in self._planner.come_to_rest():
                 last = piece
                 yield piece
-            text = f"{error}\nthe program was running; the arm stands at rest on its path before that place"
+            text = (
+                f"{error}\nthe program was running: its moves had been checked to line {self.checked_to_line}, but blends "
+                f"are known only once planned (before the start: up to {EAGER_MOVES} moves); the arm stands at rest on "
+                "its path before that place, motors on, position trusted; correct the program, then run it again"
+            )
             source = error.source or Source("(program)", 0)
             rest = last.rest_deg if last is not None else tuple(self._planner.q_deg.tolist())
             fault = ProgramFault(ProgramRefusedError(text), source)

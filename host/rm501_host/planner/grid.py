@@ -307,11 +307,21 @@ class GridBuilder:
         joint = int(np.argmax(beyond[first]))
         worst = float(beyond[same][:, joint].max())
         limit = self._limits.min_deg[joint] if below[first, joint] > 0 else self._limits.max_deg[joint]
+        excess = f"would leave its range by {worst:.4g} deg (limit {limit:g} deg)"
+        at_deg = tuple(float(v) for v in rows.q_deg[ia[first]])
+        if chosen.is_blend:
+            raise JointLimitError(
+                f"in the blend at its end the {_JOINTS[joint]} {excess}",
+                source=chosen.source,
+                q_deg=at_deg,
+                amount=worst,
+                remedy="give a smaller P in G64 before it, or G61; or move the corner",
+            )
         raise JointLimitError(
-            f"{_JOINTS[joint]} would leave its range by {worst:.4g} deg (limit {limit:g} deg)",
+            f"{_JOINTS[joint]} {excess}",
             source=chosen.source,
             place_mm=float(start[first]),
-            q_deg=tuple(float(v) for v in rows.q_deg[ia[first]]),
+            q_deg=at_deg,
             amount=worst,
             remedy="move the path, go round by a neutral pose, or use a joint move (G0)",
         )

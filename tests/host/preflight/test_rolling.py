@@ -145,7 +145,6 @@ def test_a_program_that_computes_for_ever_is_not_waited_for_before_the_start(tmp
     program.write_text("G21 G90\nG0 X280 Y0 Z200 A0 B0\no1 while [1]\n#1=[#1+1]\no1 endwhile\nM2\n")
     planned = check_and_plan(program, ARM, CONFIG, CONFIG.home_deg)
     assert not planned.is_complete
-    assert not planned.is_planned
     assert "checked as the program runs" in planned.preflight.stopped_by
     planned.close()
 
@@ -213,10 +212,30 @@ def test_a_plan_that_fails_on_the_way_ends_at_rest(tmp_path: Path, monkeypatch: 
     *pieces, last = list(planned.pieces())
     assert last.kind is PieceKind.MARK and isinstance(last.move, ProgramFault)
     assert isinstance(last.move.error, ProgramRefusedError)
+    assert "checked to line 1153" in str(last.move.error)
     moving = [piece for piece in pieces if piece.kind is PieceKind.MOTION]
     assert moving[-1].ends_at_rest and not moving[-2].ends_at_rest
     end = ARM.program_from_joints(moving[-1].rest_deg)
     assert end[1] == pytest.approx(0.15 * (1100 - 3), abs=0.31)
+
+
+def test_a_blend_out_of_a_joints_range_is_named_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both lines pass the elbow's limit closely outside, the blend between them inside: only the planner knows."""
+    monkeypatch.setattr("rm501_host.program_plan.EAGER_MOVES", 10)
+    limit_mm = 258.1927203  # tool straight down at Z200, the elbow at -90.01
+    x, slope = limit_mm + 0.1, 0.025
+    program = tmp_path / "a.ngc"
+    lines = ["G21 G90 G94 G64 P0.5 F6000", "G0 X300 Y-40 Z200 A0 B0"]
+    lines += [f"G1 X{300 + 0.2 * (i % 2):.2f} Y{-40 - 0.01 * i:.2f}" for i in range(20)]
+    lines += [f"G1 X{x - 40 * slope:.4f} Y-40", f"G1 X{x:.4f} Y0", f"G1 X{x - 40 * slope:.4f} Y40", "G1 X300", "M2", ""]
+    program.write_text("\n".join(lines))
+    planned = check_and_plan(program, ARM, CONFIG, CONFIG.home_deg)
+    *pieces, last = list(planned.pieces())
+    assert isinstance(last.move, ProgramFault) and last.move.source.line == 24
+    text = str(last.move.error)
+    assert "a.ngc:24: in the blend at its end the elbow would leave its range" in text
+    assert "smaller P in G64" in text and "checked to line 27" in text
+    assert pieces[-1].ends_at_rest
 
 
 def test_what_takes_longer_to_check_is_checked_less_far_before_the_start() -> None:

@@ -145,7 +145,7 @@ def random_program(rng: random.Random, count: int, arm: Arm = PLAIN_ARM) -> list
             continue
         elif kind < 0.90:
             wild = words.target(x, y, z, a, b)
-            turned = (*wild[:3], wild[3] + rng.choice((0.0, 0.004, 10.0, 175.0)), *wild[4:])
+            turned = (*wild[:3], wild[3] + rng.choice((0.0, 0.004, 10.0, 175.0, 360.0)), *wild[4:])
             moves.append(LinearMove(turned, feed, at(line)))
             continue
         elif kind < 0.92:
