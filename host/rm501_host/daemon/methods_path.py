@@ -21,8 +21,8 @@ class OverrideParams(Params, frozen=True):
 
 @api.method("override", OverrideParams, Access.FULL)
 async def _override(client: Client, params: OverrideParams) -> object:
-    """Feed override, along the path. Up to 1 at once. Above it programs and MDI are planned anew for higher feeds, a
-    second or so ahead and within every limit; everything else stays at 1.
+    """Feed override, along the path. Up to 1 at once. Above it programs and MDI are planned anew for higher feeds,
+    half a second or so ahead and within every limit; everything else stays at 1.
     """
     await client.machine.set_override(params.ratio, client.owner)
     return None

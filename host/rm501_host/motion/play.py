@@ -20,7 +20,7 @@ from rm501_host.motion.reports import Reports
 from rm501_host.motion.respeeding import (
     BATCH,
     FIRST_BATCH,
-    MOST_ATTEMPTS,
+    PLANNING_SHARES,
     Respeedable,
     Takeover,
     earliest_cut,
@@ -298,8 +298,8 @@ class Play:
     def _missed(self, live: Respeedable) -> None:
         """Too late for that place: the old law goes on, the next attempt leaves more time."""
         self._attempts += 1
-        live.discard(_TOO_SLOW, for_good=self._attempts >= MOST_ATTEMPTS)
-        self._attempts %= MOST_ATTEMPTS
+        live.discard(_TOO_SLOW, for_good=self._attempts >= len(PLANNING_SHARES))
+        self._attempts %= len(PLANNING_SHARES)
 
     # ------------------------------------------------------------------------------------------ early ends
 

@@ -39,7 +39,10 @@ _ROOM = 1 << 19
 """Sum of slopes that brakes from rate 1 (`firmware.md`)."""
 _LONGEST_S = 0.5
 """An arc about the waist is one cubic from its start to its end, 6 s in the thesis's program."""
-MOST_ATTEMPTS = 4
+PLANNING_SHARES = (0.3, 1.0, 2.0, 3.0, 4.0)
+"""What each attempt leaves for planning, in stall budgets: a plan takes 0.05 s, and one that comes too late costs nothing
+but the next attempt.
+"""
 
 
 @runtime_checkable
@@ -96,7 +99,7 @@ def takeover_place(
 ) -> tuple[PlannedSegment, PlannedSegment] | None:
     """The segment at whose start another law may take over, and the one before it; None where there is none yet."""
     known = [*mirror.sent, *waiting]
-    earliest = earliest_cut(config, known, now_frame, (1 + attempts) * config.planner.stall_budget_s)
+    earliest = earliest_cut(config, known, now_frame, PLANNING_SHARES[attempts] * config.planner.stall_budget_s)
     if earliest is None:
         return None
     for before, planned in pairwise(known):

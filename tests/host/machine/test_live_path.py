@@ -185,7 +185,7 @@ def test_an_override_that_never_takes_over_is_logged_and_told(tmp_path: Path, mo
         assert "override 200% waits for the next stop of the path" in machine.messages[-1]
         assert "change the override to try again" in machine.messages[-1]
         misses = [record.data["for_good"] for record in machine.log.ring if record.kind == "override_missed"]
-        assert misses == [False, False, False, True]
+        assert misses == [False, False, False, False, True]
         await job.wait()
         assert machine.stream is not None
         assert machine.stream.positions_steps[:5] == reference.steps[:5]
