@@ -148,9 +148,9 @@ class PlannedProgram:
                 last = piece
                 yield piece
             text = (
-                f"{error}\nthe program was running: its moves had been checked to line {self.checked_to_line}, but blends "
-                f"are known only once planned (before the start: up to {EAGER_MOVES} moves); the arm stands at rest on "
-                "its path before that place, motors on, position trusted; correct the program, then run it again"
+                f"{error}\nthe program was running: its moves had been checked to line {self.checked_to_line}, but "
+                f"blends are known only once planned (before the start: up to {EAGER_MOVES} moves); the arm stands "
+                "at rest on its path before it, motors on, position trusted; correct the program, then run it again"
             )
             source = error.source or Source("(program)", 0)
             rest = last.rest_deg if last is not None else tuple(self._planner.q_deg.tolist())

@@ -24,6 +24,7 @@ SHORTEST = 1e-7
 """Below this many mm or deg a move is none."""
 MOST_TURN_DEG_MM = 1e3
 """A line along which the tool turns more than this is measured in deg."""
+_WAIST, _ROLL = 0, 4
 
 
 def task_values(arm: Arm, q_deg: Array) -> Array:
@@ -186,17 +187,18 @@ class PathBuilder:
         where = f"X{end[0]:.3f} Y{end[1]:.3f} Z{end[2]:.3f} (base frame), pitch {end[3]:.2f} deg"
         amount = result.shortfalls[0].amount if result.shortfalls else None
         common = {"source": element.source, "place_mm": element.length, "q_deg": tuple(self.q_deg.tolist())}
-        if result.ok:
+        if result.best is not None:
             raise UnreachableError(
-                f"{where} can only be reached on another branch of the arm than the one it starts on",
-                remedy="go there with a joint move (G0)",
+                f"{where} can only be reached {_way(result.best.branch, self.branch)}: on another branch of the arm "
+                "than the one it starts on, and a move of the tool keeps its branch",
+                remedy="go there with a joint move (G0), which may change it",
                 **common,  # type: ignore[arg-type]  # keyword arguments of PlanError, gathered
             )
         kind = JointLimitError if result.solutions else UnreachableError
         raise kind(
             f"{where} cannot be reached: {result.reason}",
             amount=amount,
-            remedy="bring the point nearer or tilt the tool",
+            remedy=self._remedy(result),
             **common,  # type: ignore[arg-type]  # keyword arguments of PlanError, gathered
         )
 
@@ -218,9 +220,19 @@ class PathBuilder:
                 source=source,
                 q_deg=tuple(self.q_deg.tolist()),
                 amount=result.shortfalls[0].amount if result.shortfalls else None,
-                remedy="bring the point nearer or tilt the tool",
+                remedy=self._remedy(result),
             )
         return result
+
+    def _remedy(self, result: IkResult) -> str:
+        """What to do about a pose that cannot be reached."""
+        low, high = self.arm.limits_deg
+        joints = {shortfall.joint for shortfall in result.shortfalls}
+        if _WAIST in joints:
+            return f"keep within the waist's range, {low[_WAIST]:g} to {high[_WAIST]:g} deg"
+        if _ROLL in joints:
+            return f"turn the tool the other way: the roll's range is {low[_ROLL]:g} to {high[_ROLL]:g} deg"
+        return "bring the point nearer or tilt the tool"
 
     def _task_of(self, target: Target, source: Source) -> Array:
         """x, y, z, pitch, roll (5,) in the base frame of a target in the program frame."""
@@ -229,6 +241,13 @@ class PathBuilder:
         except KinematicsOrientationError as error:
             raise OrientationError(str(error), source=source, amount=error.residual_deg) from error
         return np.array([*pose.xyz_mm, pose.pitch_deg, pose.roll_deg])
+
+
+def _way(wanted: Branch, current: Branch) -> str:
+    """How the arm would stand there that does not stand like that now."""
+    if wanted.is_front is not current.is_front:
+        return f"with the tool {'in front of' if wanted.is_front else 'behind'} the waist axis"
+    return f"with the elbow {'up' if wanted.is_elbow_up else 'down'}"
 
 
 def joint_line(start_deg: Array, target_deg: Array, source: Source) -> Element | None:
