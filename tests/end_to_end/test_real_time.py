@@ -16,6 +16,7 @@ import pytest
 
 from rm501_host.config import Config
 from tests.support.cell import run_in_cell
+from tests.support.patience import PATIENCE_S, blocking_until
 
 pytestmark = [
     pytest.mark.xdist_group("real time"),
@@ -35,7 +36,7 @@ class Bench:
 
     def ask(self, request: dict[str, object]) -> dict[str, object]:
         with socket.socket(socket.AF_UNIX) as plug:
-            plug.settimeout(30)
+            plug.settimeout(PATIENCE_S)
             plug.connect(str(self.control))
             plug.sendall(json.dumps(request).encode() + b"\n")
             answer = b""
@@ -61,7 +62,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     yield Bench(link, control, process)
     process.send_signal(signal.SIGINT)
     try:
-        process.communicate(timeout=30)
+        process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
     assert process.returncode == 0
@@ -94,12 +95,7 @@ def test_the_same_program_makes_the_same_steps(bench: Bench, thesis: Config, tmp
 def wait_for_steps(bench: Bench) -> None:
     """Return once the arm moves."""
     start = bench.ask({"do": "truth"})
-    for _ in range(200):
-        now = bench.ask({"do": "truth"})
-        if now["joint_deg"] != start["joint_deg"]:
-            return
-        threading.Event().wait(0.1)
-    raise AssertionError("the arm did not move")
+    blocking_until(lambda: bench.ask({"do": "truth"})["joint_deg"] != start["joint_deg"], "the arm moves")
 
 
 def test_a_pulled_plug_stops_the_arm_on_its_path_and_the_host_says_what_to_do(bench: Bench, tmp_path: Path) -> None:
@@ -108,10 +104,10 @@ def test_a_pulled_plug_stops_the_arm_on_its_path_and_the_host_says_what_to_do(be
     running = host(bench, "run", str(program))
     wait_for_steps(bench)
     bench.ask({"do": "fault", "spec": "unplug"})
-    out, err = running.communicate(timeout=60)
+    out, err = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 6, (out, err)
     assert "holds on its path by itself" in err
-    threading.Event().wait(3.0)
+    blocking_until(lambda: bench.ask({"do": "status"})["state"] == "HELD", "the arm rests")
     first = bench.ask({"do": "truth"})
     threading.Event().wait(1.0)
     later = bench.ask({"do": "truth"})
@@ -125,12 +121,12 @@ def test_after_an_interrupt_the_arm_holds_and_the_next_run_names_the_way_back(be
     running = host(bench, "run", str(program))
     wait_for_steps(bench)
     running.send_signal(signal.SIGINT)
-    _, err = running.communicate(timeout=60)
+    _, err = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 130
     assert "holds on its path" in err
     first = bench.ask({"do": "truth"})
     again = host(bench, "run", str(program))
-    out, err = again.communicate(timeout=60)
+    out, err = again.communicate(timeout=PATIENCE_S)
     assert again.returncode == 5, err
     assert out == ""
     assert "serve" in err

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from rm501_host.client import DaemonClient, connect
 from rm501_host.errors import NoBoardError
+from tests.support.patience import PATIENCE_S
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-_PATIENCE_S = 30.0
 
 
 class Process:
@@ -34,7 +34,7 @@ class Process:
             if number in (signal.SIGTERM, signal.SIGKILL):
                 self.child.send_signal(signal.SIGCONT)
         try:
-            async with asyncio.timeout(_PATIENCE_S):
+            async with asyncio.timeout(PATIENCE_S):
                 return await self.child.wait()
         except TimeoutError:
             self.child.kill()
@@ -49,7 +49,7 @@ async def start(*command: str) -> Process:
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
     assert child.stdout is not None
-    async with asyncio.timeout(_PATIENCE_S):
+    async with asyncio.timeout(PATIENCE_S):
         line = (await child.stdout.readline()).decode()
     if not line:
         raise RuntimeError(f"{command[0]} ended at once with {await child.wait()}")
@@ -74,7 +74,7 @@ async def start_daemon(folder: Path, config: str = "thesis.toml") -> Process:
 @asynccontextmanager
 async def client_of(folder: Path, name: str = "operator") -> AsyncIterator[DaemonClient]:
     """A client of the daemon in `folder`, subscribed to everything."""
-    async with asyncio.timeout(_PATIENCE_S):
+    async with asyncio.timeout(PATIENCE_S):
         while True:
             try:
                 client = await connect(f"unix:{folder / 's.sock'}", name=name)

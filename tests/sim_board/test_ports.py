@@ -28,6 +28,7 @@ from rm501_sim_board.presets import preset
 from rm501_sim_board.running import RunningBoard, RunOptions
 from rm501_sim_board.serial_ports import PtyPort, TcpPort
 from tests.support.board_client import BoardClient
+from tests.support.patience import PATIENCE_S, until_answer
 
 _MOVES = ((0, 90, 0.4), (2, -60, 0.6), (4, 40, 0.6), (0, -30, 0.4))
 
@@ -38,12 +39,9 @@ async def _play(client: BoardClient) -> None:
     for motor, steps, seconds in _MOVES:
         client.jump(motor, steps, seconds)
     client.start()
-    for _ in range(200):
-        status = await client.status()
-        if status.motion_frame == client.next_frame and status.state is BoardState.READY:
-            return
-        await asyncio.sleep(0.05)
-    raise TimeoutError("the program does not end")
+    await until_answer(
+        client.status, lambda now: now.motion_frame == client.next_frame and now.state is BoardState.READY
+    )
 
 
 def _gone(path: str) -> bool:
@@ -167,7 +165,7 @@ def test_the_control_socket_presses_loads_breaks_and_tells_the_truth(tmp_path) -
 
             async def ask(**request: object) -> dict[str, object]:
                 writer.write(json.dumps(request).encode() + b"\n")
-                answer: dict[str, object] = json.loads(await asyncio.wait_for(reader.readline(), 5))
+                answer: dict[str, object] = json.loads(await asyncio.wait_for(reader.readline(), PATIENCE_S))
                 return answer
 
             client = BoardClient(await open_transport(url))
@@ -183,8 +181,7 @@ def test_the_control_socket_presses_loads_breaks_and_tells_the_truth(tmp_path) -
             await client.until(lambda: bool(client.of(FaultReport)))
             assert (await ask(do="status"))["state"] == "FAULT"
             assert (await ask(do="input", line="SWITCH_ROLL", active=True))["ok"]
-            await asyncio.sleep(0.05)
-            assert (await ask(do="truth"))["inputs"]["SWITCH_ROLL"] is True  # type: ignore[index]  # JSON
+            await until_answer(lambda: ask(do="truth"), lambda now: now["inputs"]["SWITCH_ROLL"] is True)  # type: ignore[index]
             for request, word in (
                 ({"do": "dance"}, "truth"),
                 ({"do": "press", "button": "nose"}, "no input"),
@@ -213,10 +210,6 @@ def test_the_command_serves_a_pty_says_so_and_ends_cleanly_on_a_signal(tmp_path)
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
-    start = process.stdout.readline()
-    assert str(link) in start
-    assert "preset real, seed 4" in start
 
     async def main() -> None:
         client = BoardClient(await open_transport(str(link)))
@@ -225,9 +218,17 @@ def test_the_command_serves_a_pty_says_so_and_ends_cleanly_on_a_signal(tmp_path)
         assert (await client.status()).power
         await client.transport.aclose()
 
-    asyncio.run(main())
-    os.kill(process.pid, signal.SIGTERM)
-    out, _ = process.communicate(timeout=20)
+    try:
+        assert process.stdout is not None
+        start = process.stdout.readline()
+        assert str(link) in start
+        assert "preset real, seed 4" in start
+        asyncio.run(main())
+        process.send_signal(signal.SIGTERM)
+        out, _ = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        process.communicate()
     assert process.returncode == 0
     assert "frames written" in out
     assert "ended after" in out

@@ -12,6 +12,7 @@ from rm501_protocol.host_link import HostLink
 from rm501_protocol.link_events import Received, SessionOpened
 from rm501_protocol.messages import MotorTerm, Segment, SetPower, Start, Status, StatusRequest
 from rm501_protocol.transport import Transport
+from tests.support.patience import PATIENCE_S
 
 M = TypeVar("M", bound=Message)
 
@@ -51,7 +52,7 @@ class BoardClient:
         self.link.send(message)
         self._pump()
 
-    async def until(self, condition, timeout_s: float = 20.0) -> None:
+    async def until(self, condition, timeout_s: float = PATIENCE_S) -> None:
         async with asyncio.timeout(timeout_s):
             while not condition():
                 self._changed.clear()
@@ -68,7 +69,9 @@ class BoardClient:
 
     async def power_on(self) -> None:
         self.send(SetPower(True))
-        await asyncio.sleep(0.02)
+        async with asyncio.timeout(PATIENCE_S):
+            while not (await self.status()).power:
+                pass
 
     def jump(self, motor: int, steps: int, seconds: float) -> None:
         """Queue a move of one motor at rest at both ends: half the time speeding up, half slowing down."""

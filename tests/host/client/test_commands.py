@@ -9,12 +9,14 @@ import socket as socket_module
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from rm501_host import Robot
 from rm501_host.errors import NoBoardError, RefusedError, StoppedError
+from tests.support.patience import PATIENCE_S, blocking_until
 from tests.support.virtual_machine import REPOSITORY
 
 COMMAND = [sys.executable, "-c", "from rm501_host.cli import main; main()"]
@@ -27,14 +29,27 @@ def run(*arguments: str, socket: Path, json_output: bool = False) -> subprocess.
         env={**os.environ, "RM501_SOCKET": str(socket)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
 
 
 @pytest.fixture(scope="module")
 def socket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    folder = tmp_path_factory.mktemp("daemon")
+    """The socket of a daemon that other tests may have used."""
+    with daemon_in(tmp_path_factory.mktemp("daemon")) as path:
+        yield path
+
+
+@pytest.fixture
+def fresh_socket(tmp_path: Path) -> Iterator[Path]:
+    """The socket of a daemon that has just started."""
+    with daemon_in(tmp_path) as path:
+        yield path
+
+
+@contextmanager
+def daemon_in(folder: Path) -> Iterator[Path]:
     path = folder / "s.sock"
     (folder / "state").mkdir()
     (folder / "state" / "points.toml").write_text("[points.pick]\nnumber = 1\nq_deg = [0, 60, -60, 60, 0]\n")
@@ -44,15 +59,18 @@ def socket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
          "--state", str(folder / "state")],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert daemon.stdout is not None
-    assert json.loads(daemon.stdout.readline())["ready"] is True
-    for _ in range(50):
-        if json.loads(run("status", socket=path, json_output=True).stdout)["connected"]:
-            break
-    yield path
-    daemon.send_signal(signal.SIGTERM)
-    assert daemon.wait(30) == 0
-    daemon.stdout.close()
+    with daemon:
+        try:
+            assert daemon.stdout is not None
+            assert json.loads(daemon.stdout.readline())["ready"] is True
+            blocking_until(
+                lambda: json.loads(run("status", socket=path, json_output=True).stdout)["connected"], "a connection"
+            )
+            yield path
+            daemon.send_signal(signal.SIGTERM)
+            assert daemon.wait(PATIENCE_S) == 0
+        finally:
+            daemon.kill()
     assert not path.exists()
 
 
@@ -89,7 +107,8 @@ def test_without_a_daemon_every_command_says_what_to_do(tmp_path: Path, command:
     assert "rm501-host serve" in result.stderr and not result.stdout
 
 
-def test_a_session_at_the_command_line(socket: Path) -> None:
+def test_a_session_at_the_command_line(fresh_socket: Path) -> None:
+    socket = fresh_socket
     status = run("status", socket=socket)
     assert status.returncode == 0 and "ESTOP" in status.stdout and "then reset" in status.stdout
     early = run("home", socket=socket)
@@ -102,8 +121,13 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
     jogged = run("jog", "waist", "6", "--distance", "2", socket=socket, json_output=True)
     assert jogged.returncode == 0
     assert json.loads(jogged.stdout)["joints_deg"][0] == pytest.approx(2.0, abs=0.03)
-    held_key = run("jog", "waist", "-6", "--seconds", "0.5", socket=socket, json_output=True)
-    assert held_key.returncode == 0 and json.loads(held_key.stdout)["joints_deg"][0] < 2.0
+    for _ in range(20):  # a busy computer may not get round to moving while the key is held
+        held_key = run("jog", "waist", "-6", "--seconds", "0.5", socket=socket, json_output=True)
+        assert held_key.returncode == 0
+        if json.loads(held_key.stdout)["joints_deg"][0] < 1.9:
+            break
+    else:
+        pytest.fail("a key that is held moves nothing")
     path = socket.parent / "way.csv"
     path.write_text("t_s,waist,shoulder,elbow,pitch,roll\n6,10,60,-60,60,0\n")
     for arguments, why in (
@@ -147,7 +171,7 @@ def test_a_session_at_the_command_line(socket: Path) -> None:
     assert run("reset", "--fault", "KILLED", socket=socket).returncode == 0
     second = subprocess.run(
         [*COMMAND, "--port", "emu://", "serve", "--socket", str(socket), "--state", str(socket.parent / "other")],
-        capture_output=True, text=True, timeout=30, check=False,
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert second.returncode == 5 and "another daemon answers" in second.stderr
 

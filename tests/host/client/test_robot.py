@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import sys
 import threading
+from concurrent.futures import Future
 from typing import Any
 
 import pytest
 
 from rm501_host import Robot
 from rm501_host.errors import RefusedError
+from tests.support.patience import PATIENCE_S, blocking_until
 
 
 class _Client:
@@ -53,15 +56,24 @@ def client(monkeypatch: pytest.MonkeyPatch) -> _Client:
     return client
 
 
-@pytest.mark.timeout(30)
+def waits(thread: int) -> bool:
+    """Whether a thread waits for a result."""
+    frame = sys._current_frames()[thread]
+    while frame is not None:
+        if frame.f_code is Future.result.__code__:
+            return True
+        frame = frame.f_back  # type: ignore[assignment]  # None at the outermost
+    return False
+
+
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signals to a thread here")
 def test_an_interrupt_holds_the_arm(client: _Client) -> None:
     main = threading.get_ident()
     with Robot.connect("unix:/nowhere") as robot:
 
         def interrupt() -> None:
-            assert client.moving.wait(10)
-            threading.Event().wait(0.3)  # until the caller waits, too
+            assert client.moving.wait(PATIENCE_S)
+            blocking_until(lambda: waits(main), "the caller waits for the motion")
             signal.pthread_kill(main, signal.SIGINT)
 
         helper = threading.Thread(target=interrupt)

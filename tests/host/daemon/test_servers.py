@@ -20,6 +20,7 @@ from rm501_host.daemon.notify import Notifier
 from rm501_host.daemon.unix_server import SocketInUseError, UnixServer
 from rm501_host.daemon.web_server import WebServer
 from rm501_host.errors import NoBoardError
+from tests.support.patience import PATIENCE_S, until
 from tests.support.virtual_machine import running_service
 
 TOKEN = "correct-horse-battery-staple"
@@ -77,8 +78,7 @@ async def test_with_the_token_everything_without_it_only_stop(tmp_path: Path, to
                         await client.call(method.name)
             assert (await client.call("hold")) == {"held": False}
             await client.call("stop")
-        await asyncio.sleep(0.3)
-        assert service.machine.state.name == "OFF"  # type: ignore[attr-defined]
+        await until(lambda: service.machine.state.name == "OFF")  # type: ignore[attr-defined]
 
 
 async def test_an_oversized_message_ends_the_connection_and_nothing_else(tmp_path: Path, token_file: Path) -> None:
@@ -86,11 +86,11 @@ async def test_an_oversized_message_ends_the_connection_and_nothing_else(tmp_pat
         headers = {"Authorization": f"Bearer {TOKEN}"}
         async with session.ws_connect(url, headers=headers) as wire:
             await wire.send_str('{"jsonrpc":"2.0","id":1,"method":"version","params":{"a":"' + "x" * 70_000 + '"}}')
-            message = await wire.receive(timeout=5)
+            message = await wire.receive(timeout=PATIENCE_S)
             assert message.type in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSING)
         async with session.ws_connect(url, headers=headers) as wire:
             await wire.send_str('{"jsonrpc":"2.0","id":1,"method":"version"}')
-            assert json.loads((await wire.receive(timeout=5)).data)["result"]["api"] == 1
+            assert json.loads((await wire.receive(timeout=PATIENCE_S)).data)["result"]["api"] == 1
         async with session.post(url, data="{}") as answer:
             assert answer.status == 405
         async with session.get(url.replace("/rpc", "/../../etc/passwd")) as answer:
@@ -113,8 +113,7 @@ async def test_unix_socket_limits_and_stale_files(tmp_path: Path) -> None:
         writer.write(b"x" * 200_000 + b"\n")
         assert b"longer than 65536" in await reader.read(1000)
         writer.close()
-        await asyncio.sleep(0.05)
-        assert not service.clients
+        await until(lambda: not service.clients)
         await server.aclose()
     with pytest.raises(NoBoardError, match="rm501-host serve"):
         await connect(f"unix:{path}")
@@ -140,16 +139,17 @@ async def test_systemd_hears_ready_and_the_watchdog(tmp_path: Path) -> None:
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(path))
-        listener.settimeout(2)
+        listener.setblocking(False)
         environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "100000", "WATCHDOG_PID": "77"}
         notifier = Notifier(environment, 77)
         notifier.send("READY=1")
         assert listener.recv(100) == b"READY=1"
         async with asyncio.TaskGroup() as tasks:
             alive = tasks.create_task(notifier.keep_alive())
-            await asyncio.sleep(0.12)
+            loop = asyncio.get_running_loop()
+            async with asyncio.timeout(PATIENCE_S):
+                assert [await loop.sock_recv(listener, 100) for _ in range(2)] == [b"WATCHDOG=1"] * 2
             alive.cancel()
-        assert [listener.recv(100) for _ in range(2)] == [b"WATCHDOG=1"] * 2
         assert Notifier(environment, 78).watchdog_s == 0.0
     Notifier({}, 1).send("READY=1")
     notifier.send("nobody listens any more")

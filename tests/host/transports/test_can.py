@@ -21,6 +21,7 @@ from rm501_protocol.messages import Hold, Identify, MotorTerm, Segment
 from rm501_protocol.slcan import SlcanAdapter
 from tests.host.transports.test_contract import Collector
 from tests.protocol.examples import EXAMPLES
+from tests.support.patience import PATIENCE_S
 
 
 class FarBoard:
@@ -48,7 +49,7 @@ class FarBoard:
             self.put(frame)
 
     async def until(self, count: int) -> None:
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while len(self.packets) < count:
                 self.changed.clear()
                 await self.changed.wait()
@@ -77,7 +78,7 @@ async def over_slcan() -> AsyncIterator[tuple[CanTransport, FarBoard]]:
     loop = asyncio.get_running_loop()
     loop.add_reader(near, board.readable)
     transport = await open_transport(f"can:slcan:{os.ttyname(far)}?settle_s=0")
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         while not board.adapter.is_open:  # noqa: ASYNC110 - the adapter is sans-IO, it has no event to wait for
             await asyncio.sleep(0.01)
     try:
@@ -183,7 +184,7 @@ async def test_both_link_ends_work_over_it(case) -> None:
         segments = [Segment(n * 10, 10, (MotorTerm(0, n, 1),)) for n in range(20)]
         host.connect(5, round(loop.time() * 1e6))
         read = 0
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while not (done and isinstance(done[-1], StopAcknowledged)):
                 now_us = round(loop.time() * 1e6)
                 for packet in host.packets_to_send(now_us):
@@ -220,7 +221,7 @@ async def test_error_frames_are_counted_and_bus_off_ends_the_transport() -> None
             arbitration_id=0x04, data=bytes((0, 0x30, 0, 0, 0, 0, 136, 3)), is_error_frame=True, is_extended_id=False
         )
         board.bus.send(passive)  # type: ignore[attr-defined]
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while transport.health.error_frames == 0:  # noqa: ASYNC110 - a counter
                 await asyncio.sleep(0.01)
         health = transport.health

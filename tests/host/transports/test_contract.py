@@ -17,6 +17,7 @@ import pytest
 from rm501_host.transports import PortError, TransportClosedError, open_transport
 from rm501_host.transports.serial_port import ThreadedSerialTransport
 from rm501_protocol.transport import Receiver, Transport
+from tests.support.patience import PATIENCE_S
 
 
 @dataclass
@@ -37,7 +38,7 @@ class Collector:
         self.changed.set()
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while not condition():
                 self.changed.clear()
                 await self.changed.wait()
@@ -51,7 +52,7 @@ class FarEnd:
     hang_up: Callable[[], None]
 
     async def until(self, count: int) -> None:
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while len(self.received) < count:
                 self.changed.clear()
                 await self.changed.wait()

@@ -9,6 +9,7 @@ from rm501_host.transports.open import ENTRY_POINT_GROUP
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.link import HostLink, SessionOpened, StopAcknowledged, StopKind
 from rm501_protocol.transport import Receiver, Transport
+from tests.support.patience import PATIENCE_S
 
 
 class Session(Receiver):
@@ -37,7 +38,7 @@ class Session(Receiver):
         self.lost.append(exc)
 
     async def until(self, wanted: type) -> None:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while not any(isinstance(event, wanted) for event in self.events):
                 self.pump()
                 await asyncio.sleep(0.005)

@@ -10,6 +10,7 @@ import pytest
 
 from rm501_host.transports import PortError, SteadyPort, open_transport, port_watch, stable_path, wait_for_path
 from tests.host.transports.test_contract import Collector
+from tests.support.patience import PATIENCE_S
 
 
 def test_a_device_is_known_by_the_name_that_it_keeps(tmp_path: Path) -> None:
@@ -34,7 +35,7 @@ async def test_waiting_ends_when_the_port_appears_also_in_a_new_folder(
         monkeypatch.setattr(port_watch, "_watch", lambda folder: None)
         monkeypatch.setattr(port_watch, "_FALLBACK_S", 0.01)
     path = tmp_path / "serial" / "by-id" / "usb-board"
-    async with asyncio.timeout(10), asyncio.TaskGroup() as group:
+    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as group:
         waiting = group.create_task(wait_for_path(str(path)))
         await asyncio.sleep(0.02)
         assert not waiting.done()
@@ -65,7 +66,7 @@ async def test_a_board_that_was_unplugged_is_opened_again_by_its_stable_name(tmp
     os.close(near)
     os.close(far)
     await lost.until(lambda: bool(lost.lost))
-    async with asyncio.timeout(10), asyncio.TaskGroup() as group:
+    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as group:
         waiting = group.create_task(wait_for_path(str(name)))
         await asyncio.sleep(0.02)
         near, far = plug_in()
@@ -113,7 +114,7 @@ async def test_a_board_that_comes_back_under_another_number_is_found_and_no_othe
     board.unplug()
     await lost.until(lambda: bool(lost.lost))
     stranger = PluggedIn(tmp_path / "ttyUSB0")  # another device gets the number that is free now
-    async with asyncio.timeout(9), asyncio.TaskGroup() as group:
+    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as group:
         opening = group.create_task(port.open())
         await asyncio.sleep(0.05)
         assert not opening.done()

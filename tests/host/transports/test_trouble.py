@@ -14,6 +14,7 @@ from rm501_host.transports.serial_port import SerialTransport, ThreadedSerialTra
 from rm501_host.transports.stream import WRITE_CAP_BYTES
 from tests.host.transports.test_can import over_slcan, over_virtual
 from tests.host.transports.test_contract import Collector, over_pty, over_tcp, over_threaded_pty
+from tests.support.patience import PATIENCE_S
 
 
 async def test_a_slow_reader_gets_everything_in_order() -> None:
@@ -55,7 +56,7 @@ async def test_a_socket_that_takes_nothing_ends_with_an_error() -> None:
 async def test_an_end_before_start_is_told_at_start() -> None:
     async with over_pty() as (transport, far):
         far.hang_up()
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 try:
                     transport.write(b"x")
@@ -124,7 +125,7 @@ async def test_a_bus_that_takes_nothing_and_a_stop_that_passes_what_waits(monkey
         transport.start(collector)
 
         def slow(message: can.Message, timeout: float | None = None) -> None:
-            gate.wait(5)
+            gate.wait(PATIENCE_S)
             sent.append(message.arbitration_id)
 
         monkeypatch.setattr(transport._bus, "send", slow)
@@ -132,7 +133,7 @@ async def test_a_bus_that_takes_nothing_and_a_stop_that_passes_what_waits(monkey
             transport.write(b"\x20" + bytes(50))
         transport.write(b"\x04" + bytes(12))
         gate.set()
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while len(sent) < 82:  # noqa: ASYNC110 - counted in a thread
                 await asyncio.sleep(0.01)
         stops = [place for place, identifier in enumerate(sent) if identifier >> 8 == 0]
