@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 from rm501_host.config import Config
 from rm501_host.errors import RefusedError
 from rm501_host.planner import EventKind, Piece, PieceEvent, plan_run_back
-from rm501_host.planner.law import PathLaw
-from rm501_host.planner.respeed import Lead, Place, Respeed, Respeeded, place_at, plan_time
+from rm501_host.planner.respeed import Place, Respeed, Respeeded, lead_of, place_at, plan_time
 from rm501_host.planner.run_back import KEPT_S
 from rm501_host.planner.ways import along, way_at
 from rm501_host.segmenter import PlannedSegment
@@ -196,7 +195,8 @@ class LivePath:
             return False
         if planned.piece.starts_at_rest and planned.start_frame == round(planned.piece_start_frame):
             return True
-        return isinstance(planned.piece.law, PathLaw) and self._time_in(planned) < planned.piece.law.duration_s
+        law = along(planned.piece.law)
+        return law is not None and self._time_in(planned) < law.duration_s
 
     def respeeded(self, planned: PlannedSegment) -> Iterator[Piece]:
         """The pieces of a faster law from the start of this segment."""
@@ -207,7 +207,7 @@ class LivePath:
         at_s = self._time_in(planned)
         lead = None
         if planned.piece.law is not None and not (planned.piece.starts_at_rest and at_s <= 0.0):
-            lead = Lead(self._now.since(number), at_s)
+            lead = lead_of(self._now.since(number), at_s)
         respeed = Respeed(self._config, self._source, lambda: self._wish)
         place = place_at(self._source, played, at_s)
         pieces = respeed.pieces(place, lead, event_slack_s=_ALMOST_ONE * self._frame_s)

@@ -24,6 +24,7 @@ from .elements import Array, Element, ElementTable, Indices
 from .geometry import path_points
 from .grid import Grid, GridBuilder
 from .jerk import PROBE_S, JerkLaw, window_of
+from .jerk_lead import SmoothLead
 from .law import PathLaw
 from .limits import Limits
 from .outputs import Place
@@ -37,6 +38,8 @@ _LEGAL = 1.0004
 _GENTLE = 0.4
 _ROUNDS = 20
 """Where a law is found it takes 2 to 9."""
+_PATIENCE = 3
+"""Rounds after which more and more is taken than what seems to be missing."""
 _OVER = 1.0005
 """How much more than needed is taken, so that it comes to an end."""
 _FOLLOWED = (0.25, 0.5, 0.75, 1.0)
@@ -45,6 +48,13 @@ _KEPT_WINDOWS = 3.0
 _PROBED_BEFORE_S = 4e-3
 """Limits are probed from here before what is committed: jerks are differences."""
 _LEAST_COMMITTED = 64
+_LEAST_LEFT = 33
+"""Grid points from where a law before is left to the end of what is known."""
+_TRIES_APART = 0.5
+"""In windows: how far apart the places lie at which a law before may be left."""
+_MOST_TRIES = 4
+_HELD_WINDOWS = 2.0
+"""For so long after it is left the law before is not slowed down below itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +100,15 @@ class JerkWindow:
         frame_s: float,
         *,
         most_intervals: int | None = None,
+        window_s: float | None = None,
     ) -> None:
+        """`window_s`: over which to average, where a law before is gone on from."""
         self._arm = arm
         self._limits = limits
         self._frame_s = frame_s
         self._builder = builder
         self._most = MOST_INTERVALS if most_intervals is None else most_intervals
-        self._window_s = window_of(limits)
+        self._window_s = window_of(limits) if window_s is None else window_s
         self._window = Window(arm, builder, frame_s)
         self._past: _Past | None = None
         self._scale = np.zeros(0)
@@ -194,6 +206,69 @@ class JerkWindow:
         self._clear()
         return stretch
 
+    def follow(self, lead: SmoothLead) -> tuple[list[tuple[JerkLaw, float]], bool]:
+        """Go on from a law before, whose base law is now where this window begins: parts of it that have to be played
+        first (with the scales of their feeds), and whether this window's law has taken over behind them.
+        """
+        grid = self._grid
+        if grid is None or len(grid) <= _LEAST_LEFT:
+            return [], False
+        ways = np.concatenate((np.zeros(1), np.cumsum(grid.lines.length)))
+        squared, times = lead.squared(ways), lead.times_s(ways)
+        reach = backward_pass(_slowed(grid.lines, np.ones(len(grid)), self._first_cap), 0.0)
+        possible = np.flatnonzero((squared <= reach)[: len(grid) - _LEAST_LEFT])
+        tried_s = -np.inf
+        tries: list[int] = []
+        for k in possible.tolist():
+            if times[k] >= tried_s + _TRIES_APART * self._window_s and len(tries) < _MOST_TRIES:
+                tries.append(k)
+                tried_s = float(times[k])
+        for join in tries:
+            if self._take_over(lead, grid, join, ways, squared, times):
+                return lead.until(float(ways[join])), True
+        last = tries[-1] + 1 if tries else len(grid) // 2
+        parts = lead.until(float(ways[last]))
+        self._shorten(grid, last)
+        return parts, False
+
+    def _take_over(self, lead: SmoothLead, grid: Grid, join: int, ways: Array, squared: Array, times: Array) -> bool:
+        """Whether there is a legal law that leaves the one before at a grid point; if so, go on from there."""
+        before = self._elements, self._grid, self._scale, self._cap, self._first_cap
+        if join:
+            self._shorten(grid, join)
+        assert self._grid is not None
+        left = self._grid = self._beginning_anew(self._grid)
+        passed = lead.past(float(ways[join]))
+        self._past = _Past(passed.elements, passed.element, passed.start, passed.stop, passed.squared, False, (0, 0.0))
+        held = int(np.searchsorted(times, times[join] + _HELD_WINDOWS * self._window_s)) - join
+        law = squared[join : join + max(1, min(held, len(left))) + 1]
+        law[0] = passed.squared[-1]
+        self._known = _KnownStop(law, _needed_scale(left.lines, law))
+        solved = self._solve()
+        if solved is None:
+            self._scale, self._cap = np.ones(len(left)), _GENTLE * self._first_cap
+            self._keep_known_stop()
+            solved = self._solve()
+        if solved is None:
+            self._elements, self._grid, self._scale, self._cap, self._first_cap = before
+            self._past = self._known = None
+            return False
+        found, average, begin = solved
+        self._known = _KnownStop(found, self._scale.copy())
+        self._past = replace(self._past, place=_place(average, float(average.base.time_s[begin])))
+        self._is_fresh = True
+        return True
+
+    def _beginning_anew(self, grid: Grid) -> Grid:
+        """The same grid with its first element cut off where it begins: the past holds a part of its own."""
+        begin = float(grid.start[0])
+        if begin == 0.0:
+            return grid
+        first = self._elements[0]
+        self._elements = [first.trimmed(begin, first.length), *self._elements[1:]]
+        cut = np.where(grid.element == 0, begin, 0.0)
+        return replace(grid, start=grid.start - cut, stop=grid.stop - cut)
+
     # ------------------------------------------------------------------------------------------------ the base law
 
     def _solve(self, followed: int = 0) -> tuple[Array, JerkLaw, int] | None:
@@ -204,7 +279,7 @@ class JerkWindow:
         grid, past = self._grid, self._past
         assert grid is not None
         first_x = 0.0 if past is None else float(past.squared[-1])
-        for _ in range(_ROUNDS):
+        for turn in range(_ROUNDS):
             lines = _slowed(grid.lines, self._scale, self._cap)
             if followed and self._known is not None:
                 caps = lines.y_cap.copy()
@@ -220,7 +295,7 @@ class JerkWindow:
             times, ratios = law.slowdowns(self._limits, max(0.0, from_s - _PROBED_BEFORE_S), self._anchor_s)
             if ratios.max() <= _LEGAL:
                 return squared, law, begin
-            self._slow_down(law, begin, times, ratios)
+            self._slow_down(law, begin, times, ratios, 1.0 + max(0, turn - _PATIENCE))
         return None
 
     def _solve_gently(self) -> tuple[Array, JerkLaw, int] | None:
@@ -269,12 +344,12 @@ class JerkWindow:
         )
         return JerkLaw.smoothed(base, self._window_s), len(past.element)
 
-    def _slow_down(self, law: JerkLaw, begin: int, times: Array, ratios: Array) -> None:
+    def _slow_down(self, law: JerkLaw, begin: int, times: Array, ratios: Array, gain: float) -> None:
         """Where the average is too fast by `ratios`, (n,), slow down what it is made of: speeds by as much, and
-        accelerations by its square.
+        accelerations by its square; by powers of that, `gain`, where it takes long.
         """
         needed = _spread(law.base.time_s[begin:], times, ratios, self._window_s)
-        factor = np.where(needed > 1.0, 1.0 / (needed * _OVER) ** 2, 1.0)
+        factor = np.where(needed > 1.0, (needed * _OVER) ** (-2.0 * gain), 1.0)
         speeds = law.base.speed[begin:]
         own = np.maximum(speeds[:-1], speeds[1:]) ** 2
         self._cap = np.where(needed > 1.0, np.minimum(self._cap, own * factor), self._cap)
@@ -402,6 +477,16 @@ class JerkWindow:
 def _place(law: JerkLaw, time_s: float) -> Place:
     index, s = law.places(np.array([time_s]))
     return int(index[0]), float(s[0])
+
+
+def _needed_scale(lines: IntervalLines, squared: Array) -> Array:
+    """The least share of the accelerations with which a law (m + 1,) of the first m intervals is possible, (m,)."""
+    count = len(squared) - 1
+    x, y = squared[:-1, None], squared[1:, None]
+    first = ((x - lines.beta[:count] * y) / lines.alpha[:count]).max(axis=1)
+    last = ((y - lines.delta[:count] * x) / lines.gamma[:count]).max(axis=1)
+    share: Array = np.clip(np.maximum(np.maximum(first, last), squared[:-1] / lines.peak_x[:count]) * 1.001, 0.0, 1.0)
+    return share
 
 
 def _spread(base_s: Array, times: Array, ratios: Array, window_s: float) -> Array:

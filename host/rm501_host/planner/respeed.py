@@ -10,14 +10,16 @@ it may, no other law is legal but that one, and a new grid would find its speed 
 followed, exactly, to the first grid point of the new one from which the new one can still stop; there it is left. In
 other words: nothing ever has to be slowed down beyond what was planned, speeds only rise.
 
-Laws that average over time (jerk) or come from outside cannot be left in motion: they are scaled from their next rest
-on, or, timed from outside, not at all. Averages are made in windows, too, so a chain without an end is no burden.
+Laws that average over time (jerk) are left in the same way, with their base laws (`jerk_lead`): those of the law before
+that the average still needs are the past of the new one. Averages are made in windows, too, so a chain without an end
+is no burden. Laws timed from outside are not scaled at all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import ceil
 from typing import Protocol
 
@@ -28,6 +30,7 @@ from rm501_host.config import Config
 from .elements import Array, Element
 from .grid import GridBuilder
 from .jerk import JerkLaw
+from .jerk_lead import SmoothLead
 from .jerk_window import JerkWindow
 from .law import PathLaw
 from .limits import Limits
@@ -169,6 +172,21 @@ class _Part:
     scale: float
 
 
+def lead_of(played: Iterable[Respeeded], time_s: float) -> Lead | SmoothLead | None:
+    """The law that is being played as one to be followed; None where it is none along a path.
+
+    `played`: the pieces from the one under way on; `time_s`: the time in the first of them.
+    """
+    pieces = iter(played)
+    first = next(pieces, None)
+    if first is None or along(first.piece.law) is None:
+        return None
+    everything = chain([first], pieces)
+    if isinstance(first.piece.law, JerkLaw):
+        return SmoothLead(((item.piece, item.scale) for item in everything), time_s)
+    return Lead(everything, time_s)
+
+
 class Respeed:
     """Yields a source again from a place, at a scale of its programmed feeds."""
 
@@ -179,7 +197,9 @@ class Respeed:
         self._limits = Limits.from_config(config)
         self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
 
-    def pieces(self, begin: Place, lead: Lead | None = None, *, event_slack_s: float = 0.0) -> Iterator[Respeeded]:
+    def pieces(
+        self, begin: Place, lead: Lead | SmoothLead | None = None, *, event_slack_s: float = 0.0
+    ) -> Iterator[Respeeded]:
         """From `begin` to the source's end.
 
         With a `lead` motion goes on there as that law has it, else from rest. Events up to `event_slack_s` before
@@ -208,60 +228,91 @@ class Respeed:
         return number
 
     def _chain(
-        self, begin: Place, scale: float, lead: Lead | None, event_slack_s: float
+        self, begin: Place, scale: float, lead: Lead | SmoothLead | None, event_slack_s: float
     ) -> Generator[Respeeded, None, int]:
         """The chain that holds `begin`, with a new law from there; gives the number behind it."""
         first = self._path(begin.piece)
+        made = _Chain(self._source, begin, self._frame_s, is_moving=lead is not None)
         if isinstance(first, JerkLaw):
-            assert lead is None, "an average is not left in motion"
-        chain = _Chain(self._source, begin, self._frame_s, is_moving=lead is not None)
-        builder = GridBuilder(first.arm, self._limits, check_limits=False)
-        smooth = JerkWindow(first.arm, builder, self._limits, self._frame_s) if isinstance(first, JerkLaw) else None
-        window = Window(first.arm, builder, self._frame_s)
-        slack_way = begin.way
-        if event_slack_s > 0.0 and begin.way > 0.0:
-            slack_way = way_at(first, max(0.0, time_at(first, begin.way) - event_slack_s))
-        number, way = begin.piece, begin.way
-        ends = False
-        while not ends:
-            piece, law = self._source.get(number), self._path(number)
-            assert piece is not None
-            chain.take_events(piece.events, law, slack_way - way, way)
-            elements = [_scaled(element, scale) for element in elements_between(law, way, length_of(law))]
-            number, way, slack_way, ends = number + 1, 0.0, 0.0, piece.ends_at_rest
-            size = _CHUNK if smooth is None else _SMOOTH_CHUNK
-            for at in range(0, len(elements), size):
-                chunk = elements[at : at + size]
-                if smooth is not None:
-                    smooth.extend(chunk)
-                    while (settled := smooth.commit()) is not None:
-                        yield chain.made(settled.law, scale, rests=settled.ends_at_rest)
-                    continue
+            assert not isinstance(lead, Lead), "an average is gone on from as an average"
+            return (yield from self._smooth_chain(made, begin, scale, lead, event_slack_s))
+        assert not isinstance(lead, SmoothLead), "only an average is gone on from as an average"
+        window = Window(first.arm, self._builder(first), self._frame_s)
+        for elements in self._elements(made, begin, event_slack_s):
+            for chunk in _chunks(elements, scale, _CHUNK):
                 window.extend(chunk)
                 if lead is not None:
                     followed, lead = _follow(window, lead)
                     for part in followed:
-                        yield chain.made(part.law, part.scale)
+                        yield made.made(part.law, part.scale)
                 if lead is None:
                     while (stretch := window.commit()) is not None:
-                        yield chain.made(stretch.law, scale)
-        if smooth is not None:
-            left = smooth.finish()
-            while left is not None:
-                # there is more where no legal law was found in the middle
-                settled, left = left, smooth.finish()
-                yield chain.made(settled.law, scale, rests=True, ends=left is None)
-        elif lead is not None:
+                        yield made.made(stretch.law, scale)
+        if lead is not None:
             # nowhere could it be left: it is followed to the rest
             rest = lead.until(np.inf)
             for part in rest[:-1]:
-                yield chain.made(part.law, part.scale)
-            yield chain.made(rest[-1].law, rest[-1].scale, rests=True, ends=True)
+                yield made.made(part.law, part.scale)
+            yield made.made(rest[-1].law, rest[-1].scale, rests=True, ends=True)
         else:
             last = window.finish()
             assert last is not None
-            yield chain.made(last.law, scale, rests=True, ends=True)
-        return number
+            yield made.made(last.law, scale, rests=True, ends=True)
+        return made.number
+
+    def _smooth_chain(
+        self, made: _Chain, begin: Place, scale: float, lead: SmoothLead | None, event_slack_s: float
+    ) -> Generator[Respeeded, None, int]:
+        """The same where laws are averages."""
+        first = self._path(begin.piece)
+        window_s = None if lead is None else lead.window_s
+        window = JerkWindow(first.arm, self._builder(first), self._limits, self._frame_s, window_s=window_s)
+        skipped = 0.0 if lead is None else lead.ahead
+        for elements in self._elements(made, begin, event_slack_s):
+            ahead, skipped = _without_first(elements, skipped)
+            for chunk in _chunks(ahead, scale, _SMOOTH_CHUNK):
+                window.extend(chunk)
+                if lead is not None:
+                    followed, has_taken_over = window.follow(lead)
+                    for law, its_scale in followed:
+                        yield made.made(law, its_scale)
+                    if has_taken_over:
+                        lead = None
+                if lead is None:
+                    while (settled := window.commit()) is not None:
+                        yield made.made(settled.law, scale, rests=settled.ends_at_rest)
+        if lead is not None:
+            rest = lead.until(np.inf)
+            for law, its_scale in rest[:-1]:
+                yield made.made(law, its_scale)
+            yield made.made(rest[-1][0], rest[-1][1], rests=True, ends=True)
+            return made.number
+        left = window.finish()
+        while left is not None:
+            # there is more where no legal law was found in the middle
+            settled, left = left, window.finish()
+            yield made.made(settled.law, scale, rests=True, ends=left is None)
+        return made.number
+
+    def _builder(self, law: Along) -> GridBuilder:
+        return GridBuilder(law.arm, self._limits, check_limits=False)
+
+    def _elements(self, made: _Chain, begin: Place, event_slack_s: float) -> Iterator[list[Element]]:
+        """The elements of the chain from `begin` on, piece by piece."""
+        first = self._path(begin.piece)
+        way = begin.way
+        slack_way = way
+        if event_slack_s > 0.0 and way > 0.0:
+            slack_way = way_at(first, max(0.0, time_at(first, way) - event_slack_s))
+        ends = False
+        while not ends:
+            piece, law = self._source.get(made.number), self._path(made.number)
+            assert piece is not None
+            made.take_events(piece.events, law, slack_way - way, way)
+            elements = elements_between(law, way, length_of(law))
+            way, slack_way, ends = 0.0, 0.0, piece.ends_at_rest
+            made.number += 1
+            yield elements
 
     def _path(self, number: int) -> Along:
         piece = self._source.get(number)
@@ -293,6 +344,8 @@ class _Chain:
     def __init__(self, source: Pieces, begin: Place, frame_s: float, *, is_moving: bool) -> None:
         self._source = source
         self._place = begin
+        self.number = begin.piece
+        """Of the next piece of the source that enters the chain."""
         self._frame_s = frame_s
         self._is_moving = is_moving
         self._time_s = 0.0
@@ -339,6 +392,23 @@ class _Chain:
         self._place = moved(self._source, self._place, length)
         self._way += length
         return played
+
+
+def _chunks(elements: list[Element], scale: float, size: int) -> Iterator[list[Element]]:
+    scaled = [_scaled(element, scale) for element in elements]
+    for at in range(0, len(scaled), size):
+        yield scaled[at : at + size]
+
+
+def _without_first(elements: list[Element], way: float) -> tuple[list[Element], float]:
+    """The elements behind `way`, the one it lies on cut there, and how much of it is left behind all of them."""
+    for number, element in enumerate(elements):
+        if way < element.length - _SAME_WAY:
+            if way > 0.0:
+                return [element.trimmed(way, element.length), *elements[number + 1 :]], 0.0
+            return elements[number:], 0.0
+        way = max(0.0, way - element.length)
+    return [], way
 
 
 def _scaled(element: Element, scale: float) -> Element:
