@@ -38,9 +38,7 @@ def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str
     positions = [*map(to_q48, arm.motors_from_joints(start_deg).tolist()), 0]
     segments = list(Segmenter(config, positions, 0).segments(plan.pieces))
     horizon = stop_horizon(config, segments)
-    # rests in which play is still being taken up, after the law has ended
-    tail_s = sum(item.tail_frames for item in segments) * config.board.base_period_us * len(config.board.table) * 1e-6
-    cycle_s = plan.duration_s + tail_s
+    cycle_s = plan.duration_s + horizon.tail_s
     summary: dict[str, object] = {
         "program": str(program),
         "cycle_s": cycle_s,

@@ -4,12 +4,16 @@ The tool turns from its orientation at the start to that at the end about one fi
 the way (angle-axis, thesis 4.2). At each place the arm's plane is given by the waist, so the arm's pitch and roll are
 functions of place and orientation; what the arm cannot take is refused with the residual angle. Their derivatives
 come from five-point central differences: the functions are smooth on a scale of the arm's reach, and at a step of
-0.1 mm truncation and rounding both stay below 1e-9 of their values.
+0.1 mm truncation and rounding both stay below 1e-9 of their values. A spline has nothing beyond its ends: there the
+same five points lie inside it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from rm501_host.kinematics import Arm, Branch
 from rm501_host.kinematics.program_frame import read_wrist_rows
@@ -18,9 +22,11 @@ from rm501_host.moves import Source
 
 from .elements import Array, Element, ElementTable, Indices
 from .errors import OrientationError
+from .splines import SplineCurve
 
 STEP = 0.1
 """Of the central differences, in mm."""
+_OFFSETS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 FEWEST_KNOTS, MOST_KNOTS = 5, 129
 KNOT_SPACING_MM = 0.25
 KNOT_SPACING_RAD = 0.025
@@ -47,6 +53,8 @@ class OrientedCurve:
         self._arm = arm
         self._branch = branch
         self._places = places
+        # a spline ends where it ends; lines and arcs go on beyond
+        self._ends_count = isinstance(places.curve, SplineCurve)
         self._waist_deg = waist_deg
         self._places_alone = ElementTable([places])
         first = arm.frame.rotation @ matrix_from_rpy(first_rpy_deg)
@@ -78,14 +86,10 @@ class OrientedCurve:
 
     def evaluate(self, s: Array) -> tuple[Array, Array, Array]:
         """Values, first and second derivatives, each (n, 5)."""
-        values, slopes, bends = self._evaluate_places(s)
-        h = STEP
-        around = np.concatenate([s + k * h for k in (-2, -1, 0, 1, 2)])
-        pitch, roll = (angles.reshape(5, len(s)) for angles in self._continuous(around))
-        for column, f in ((3, pitch), (4, roll)):
-            values[:, column] = f[2]
-            slopes[:, column] = (f[0] - 8.0 * f[1] + 8.0 * f[3] - f[4]) / (12.0 * h)
-            bends[:, column] = (-f[0] + 16.0 * f[1] - 30.0 * f[2] + 16.0 * f[3] - f[4]) / (12.0 * h * h)
+        values, slopes, bends = self._places.evaluate(s)
+        stencil = Stencil.around(s, np.array(self._places.length), np.array(self._ends_count, dtype=np.bool_))
+        angles = np.array([np.stack(self._continuous(at), axis=1) for at in stencil.places])
+        values[:, 3:], slopes[:, 3:], bends[:, 3:] = stencil.derivatives(angles)
         return values, slopes, bends
 
     def _continuous(self, s: Array) -> tuple[Array, Array]:
@@ -113,6 +117,44 @@ class OrientedCurve:
         got = self._arm.fk_batch(np.stack((waist, np.zeros_like(waist), np.zeros_like(waist), pitch, roll), axis=1))[1]
         cosine = 0.5 * (np.einsum("nij,nij->n", r5 @ self._tilt, got) - 1.0)
         return pitch, roll, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stencil:
+    """Five places a step apart around each s (n,): `places` (5, n); s lies `offset` (n,) steps of `step` (n,) from the
+    middle one.
+    """
+
+    places: Array
+    step: Array
+    offset: Array
+
+    @classmethod
+    def around(cls, s: Array, length: Array, ends_count: NDArray[np.bool_]) -> Stencil:
+        """Around s (n,) on paths of `length` mm; where `ends_count`, within the path."""
+        if not ends_count.any():
+            step, offset = np.full(len(s), STEP), np.zeros(len(s))
+            return cls(np.array([s + k * STEP for k in _OFFSETS]), step, offset)
+        step = np.where(ends_count, np.minimum(STEP, 0.25 * length), STEP) * np.ones_like(s)
+        centre = np.where(ends_count, np.clip(s, 2.0 * step, np.maximum(length - 2.0 * step, 2.0 * step)), s)
+        return cls(np.array([centre + k * step for k in _OFFSETS]), step, (s - centre) / step)
+
+    def derivatives(self, f: Array) -> tuple[Array, Array, Array]:
+        """Value, first and second derivative (n, m) at s of the quartic through the values f (5, n, m)."""
+        h = self.step[:, None]
+        first = (f[0] - 8.0 * f[1] + 8.0 * f[3] - f[4]) / (12.0 * h)
+        second = (-f[0] + 16.0 * f[1] - 30.0 * f[2] + 16.0 * f[3] - f[4]) / (12.0 * h * h)
+        if not self.offset.any():
+            return f[2], first, second
+        t = self.offset[:, None]
+        third = (-f[0] + 2.0 * f[1] - 2.0 * f[3] + f[4]) / 2.0
+        fourth = f[0] - 4.0 * f[1] + 6.0 * f[2] - 4.0 * f[3] + f[4]
+        d, dd = first * h, second * h * h
+        return (
+            f[2] + t * (d + t * (dd / 2.0 + t * (third / 6.0 + t * fourth / 24.0))),
+            (d + t * (dd + t * (third / 2.0 + t * fourth / 6.0))) / h,
+            (dd + t * (third + t * fourth / 2.0)) / (h * h),
+        )
 
 
 def knot_counts(length_mm: Array, angle_rad: Array) -> Indices:

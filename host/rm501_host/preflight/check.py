@@ -183,16 +183,16 @@ def _estimated(
     from rm501_host.segmenter import Segmenter, stop_horizon
     from rm501_host.segmenter.fit import to_q48
 
+    positions = [*map(to_q48, arm.motors_from_joints(np.array(start_deg, dtype=np.float64)).tolist()), 0]
     try:
         plan = Plan(arm, config, Planner(arm, config, start_deg).plan(moves))
+        horizon = stop_horizon(config, Segmenter(config, positions, 0).segments(plan.pieces))
     except PlanError as error:
         finding = _finding_of(error, error.source or Source("(program)", 0), None)
         return replace(report, findings=(*report.findings, finding))
-    positions = [*map(to_q48, arm.motors_from_joints(np.array(start_deg, dtype=np.float64)).tolist()), 0]
-    horizon = stop_horizon(config, Segmenter(config, positions, 0).segments(plan.pieces))
     return replace(
         report,
-        cycle_s=plan.duration_s,
+        cycle_s=plan.duration_s + horizon.tail_s,
         motion_s=plan.motion_s,
         stop_horizon_s=horizon.stop_s,
         needed_lead_s=horizon.lead_s,

@@ -146,7 +146,10 @@ def _follow(path: PathBuilder, moves: Sequence[TaskMove], first_number: int) -> 
         count = _leading(plain)
         rpy_deg = np.concatenate((np.array(path.rpy_deg)[None], targets[:count, 3:]))
         places = _Places(geometry, splines)
-        turning, even = follow_turning(arm, path.branch, places, length[:count], rpy_deg, path.task, path.q_deg)
+        ends_count = np.array([isinstance(move, SplineMove) for move in moves[:count]], dtype=np.bool_)
+        turning, even = follow_turning(
+            arm, path.branch, places, length[:count], ends_count, rpy_deg, path.task, path.q_deg
+        )
         end[:count, 3:] = turning.end_angles_deg
         plain[:count] &= even
     turn = np.linalg.norm(np.diff(end[:, 3:], axis=0, prepend=path.task[None, 3:]), axis=1)

@@ -18,7 +18,7 @@ from rm501_host.kinematics import Arm, Branch
 from rm501_host.kinematics.program_frame import read_wrist_rows
 from rm501_host.kinematics.rotations import angles_between_deg, matrices_from_rpy
 from rm501_host.planner.elements import Array, Indices
-from rm501_host.planner.orientation import STEP, WELL_WITHIN, knot_counts
+from rm501_host.planner.orientation import WELL_WITHIN, Stencil, knot_counts
 
 Flags = NDArray[np.bool_]
 Places = Callable[[Indices, Array], Array]
@@ -32,16 +32,15 @@ _SMALLEST_SINE = 1e-9
 _EXACT_SINE = 1e-6
 """An approach this near to the arm's plane is in it: the residual is 6e-5 deg at most."""
 _SURE_TOLERANCE_DEG = 2e-4
-_OFFSETS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turning:
     """How the tools of n moves turn.
 
-    `bases` (n, 3, 3, 3): R0, R0 K, R0 K^2 of frame 5; `angle` (n,) rad; `length` (n,) mm; `waist_deg` (n,): what a
-    wrist centre on the waist axis would leave it at. `first` (n,), `count` (n,): each move's knots among `pitch_deg`,
-    `roll_deg`.
+    `bases` (n, 3, 3, 3): R0, R0 K, R0 K^2 of frame 5; `angle` (n,) rad; `length` (n,) mm; `ends_count` (n,): nothing is
+    beyond its ends (splines); `waist_deg` (n,): what a wrist centre on the waist axis would leave it at. `first`,
+    `count` (n,): each move's knots among `pitch_deg`, `roll_deg`.
     """
 
     arm: Arm
@@ -49,6 +48,7 @@ class Turning:
     bases: Array
     angle: Array
     length: Array
+    ends_count: Flags
     waist_deg: Array
     first: Indices
     count: Indices
@@ -69,6 +69,7 @@ class Turning:
             self.bases[:count],
             self.angle[:count],
             self.length[:count],
+            self.ends_count[:count],
             self.waist_deg[:count],
             self.first[:count],
             self.count[:count],
@@ -78,19 +79,16 @@ class Turning:
 
     def angles(self, places: Places, number: Indices, s: Array) -> tuple[Array, Array, Array]:
         """Pitch and roll, and their first and second derivatives, (n, 2) each, of moves `number` (n,) at s (n,)."""
-        many = len(_OFFSETS)
-        numbers = np.tile(number, many)
-        at = (s + STEP * np.array(_OFFSETS)[:, None]).ravel()
+        stencil = Stencil.around(s, self.length[number], self.ends_count[number])
+        many = len(stencil.places)
+        numbers, at = np.tile(number, many), stencil.places.ravel()
         _, pitch, roll = _read(
             self.arm, self.branch, places(numbers, at), self._rotations(numbers, at), self.waist_deg[numbers]
         )
         near_pitch, near_roll = self._near(numbers, at)
         pitch -= 360.0 * np.rint((pitch - near_pitch) / 360.0)
         roll -= 360.0 * np.rint((roll - near_roll) / 360.0)
-        f = np.stack((pitch, roll), axis=1).reshape(many, len(s), 2)
-        slopes = (f[0] - 8.0 * f[1] + 8.0 * f[3] - f[4]) / (12.0 * STEP)
-        bends = (-f[0] + 16.0 * f[1] - 30.0 * f[2] + 16.0 * f[3] - f[4]) / (12.0 * STEP * STEP)
-        return f[2], slopes, bends
+        return stencil.derivatives(np.stack((pitch, roll), axis=1).reshape(many, len(s), 2))
 
     def _near(self, number: Indices, s: Array) -> tuple[Array, Array]:
         """Pitch and roll (n,) between the knots."""
@@ -124,15 +122,16 @@ def follow_turning(
     branch: Branch,
     places: Places,
     length: Array,
+    ends_count: Flags,
     rpy_deg: Array,
     start_task: Array,
     start_deg: Array,
 ) -> tuple[Turning, Flags]:
     """How the tool turns along n moves of `length` (n,) mm, and which of them are plain (n,).
 
-    `rpy_deg` (n + 1, 3): before the first move and at the end of each; `start_task`, `start_deg` (5,): task values and
-    joints before the first. Those that are not plain (residuals, half turns, next to the waist axis) want the general
-    way.
+    `ends_count` (n,): splines. `rpy_deg` (n + 1, 3): before the first move and at the end of each; `start_task`,
+    `start_deg` (5,): task values and joints before the first. Those that are not plain (residuals, half turns, next to
+    the waist axis) want the general way.
     """
     n = len(length)
     tilt = np.array(arm.geometry.tilt).reshape(3, 3).T
@@ -161,7 +160,7 @@ def follow_turning(
     plain[number[bad]] = False
     pitch = np.unwrap(np.concatenate((start_task[3:4], pitch)), period=360.0)[1:]
     roll = np.unwrap(np.concatenate((start_task[4:5], roll)), period=360.0)[1:]
-    return Turning(arm, branch, bases, angle, length, waist_deg, first, count, pitch, roll), plain
+    return Turning(arm, branch, bases, angle, length, ends_count, waist_deg, first, count, pitch, roll), plain
 
 
 def _read(arm: Arm, branch: Branch, xyz: Array, r5: Array, waist_deg: Array) -> tuple[Array, Array, Array]:

@@ -18,12 +18,16 @@ from .slopes import SLOPE_UNITS
 
 @dataclass(frozen=True, slots=True)
 class Horizon:
-    """Longest motion time that a hold and a stop consume, the lead to keep queued, and how many segments that takes."""
+    """Longest motion time that a hold and a stop consume, the lead to keep queued, and how many segments that takes.
+
+    `tail_s`: rests, all together, in which play is still being taken up after the law has ended.
+    """
 
     hold_s: float
     stop_s: float
     lead_s: float
     lead_segments: int
+    tail_s: float
 
 
 def stop_horizon(config: Config, planned: Iterable[PlannedSegment]) -> Horizon:
@@ -46,4 +50,5 @@ def stop_horizon(config: Config, planned: Iterable[PlannedSegment]) -> Horizon:
         while segments[first].end_frame < item.start_frame - lead / frame_s:
             first += 1
         most = max(most, last - first + 1)
-    return Horizon(hold * frame_s, stop * frame_s, lead, most)
+    tail_frames = sum(item.tail_frames for item in segments)
+    return Horizon(hold * frame_s, stop * frame_s, lead, most, tail_frames * frame_s)

@@ -15,6 +15,7 @@ from rm501_host.planner.corners import Corner, CornerMaker
 from rm501_host.planner.elements import Element, Space, arc, line
 from rm501_host.planner.jointspace import joint_derivatives, tool_derivatives
 from rm501_host.planner.limits import Limits
+from rm501_host.planner.path import PathBuilder
 from rm501_host.planner.rounding import round_curves
 from rm501_host.planner.run_back import reversed_element
 from rm501_host.planner.splines import SplineCurve
@@ -220,6 +221,31 @@ def test_the_thesis_orientation_keeps_its_yaw_while_the_waist_turns() -> None:
     cartesian = samples.line >= 2
     rpy = np.array([arm.program_from_joints(q)[3:] for q in samples.q_deg[cartesian][::20]])
     assert np.abs(rpy).max() < 1e-6
+    assert judge_samples(config, samples.t_s, samples.q_deg).worst <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize("size_mm", [10.0, 0.2])
+def test_an_oriented_spline_has_the_derivatives_of_its_values_up_to_its_ends(size_mm: float) -> None:
+    """It has nothing beyond its ends to take differences from; a kink there once asked for impossible accelerations."""
+    config = load_config("configs/thesis.toml")
+    arm = Arm.from_config(config)
+    start = arm.joints_from_program((313, 0, 10, 0, 0, 0)).best
+    assert start is not None
+    builder = PathBuilder(arm, np.array(start.q_deg), linear_rapids=False)
+    d = size_mm
+    points = ((313.0, 0.0, 10.0), (313.0, 0.5 * d, 10.0), (313 - 0.5 * d, d, 10.0), (313 - d, d, 10.0))
+    move = SplineMove((313 - d, d, 10, 0, 0, 5), points, (1.0,) * 4, (0.0,) * 4 + (1.0,) * 4, 3, FEED, at(2))
+    element = builder.spline(move)
+    assert element is not None
+    s = np.linspace(0.0, element.length, 2001)
+    values, slopes, bends = element.evaluate(s)
+    inside = slice(10, -10)
+    np.testing.assert_allclose(slopes[inside, 4], np.gradient(values[:, 4], s)[inside], atol=2e-5)
+    # the ends belong to the same smooth function as what is next to them
+    for rates, tolerance in ((slopes[:, 4], 1e-3), (bends[:, 4], 2e-3)):
+        steps = np.abs(np.diff(rates))
+        assert steps.max() < tolerance
+    samples = Plan(arm, config, Planner(arm, config, start.q_deg).plan([move])).sample()
     assert judge_samples(config, samples.t_s, samples.q_deg).worst <= 1.0 + 1e-6
 
 

@@ -33,6 +33,7 @@ from rm501_host.moves import (
 )
 from rm501_host.preflight import Finding, PreflightReport, ProgramCheck, Via
 from rm501_host.preflight import along as along_module
+from rm501_host.preflight import batch as batch_module
 from rm501_host.preflight import check as check_module
 from tests.host.planner.programs import PICK_START_DEG, at, target
 
@@ -133,10 +134,10 @@ def random_program(rng: random.Random, count: int, arm: Arm = PLAIN_ARM) -> list
         elif kind < 0.85:
             feed = Feed(rng.choice((3.0, 20.0)), FeedMode.INVERSE_TIME)
             x += 1.0
-        elif kind < 0.87:
+        elif kind < 0.86:
             b += rng.choice((0.0, 10.0))  # no move, or one of an angle alone
-        elif kind < 0.875:
-            x, b = x + 0.01, b + 25.0  # next to none
+        elif kind < 0.87:
+            x, b = x + 0.01, b + rng.choice((-25.0, 25.0))  # next to none
         elif kind < 0.88:
             feed = Feed(0.0)
             y += 1.0
@@ -221,6 +222,19 @@ def test_arrays_find_what_elements_find(name: str, seed: int, monkeypatch: pytes
     for one, other in zip(fast.findings, slow.findings, strict=True):
         assert alike(one, other), f"{one}\n{other}"
     assert len(slow.findings) > 5
+
+
+def test_every_move_is_checked_however_many_points_are_looked_at_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    moves = random_program(random.Random(7), 120)
+    found = []
+    for at_once in (10, 300, 10**6):
+        monkeypatch.setattr(batch_module, "POINTS_AT_ONCE", at_once)
+        check = ProgramCheck(PLAIN_ARM, GUARDED, PICK_START_DEG)
+        report = check.run(moves, estimate=False)
+        errors = {(error.source.line, error.kind, error.text) for error in report.errors}
+        found.append((errors, pytest.approx(check.nominal_s)))
+    assert len(found[0][0]) > 5
+    assert found[0] == found[2] and found[1] == found[2]
 
 
 def test_an_error_is_not_lost_behind_many_warnings() -> None:
