@@ -47,7 +47,7 @@ class Robot:
     def connect(cls, address: str | None = None, *, token: str | None = None) -> Self:
         """Connect to a daemon, by default on its unix socket; raises NoBoardError with the remedy."""
         if address is None:
-            address = f"unix:{socket_path(os.environ, os.getuid())}"
+            address = f"unix:{socket_path(os.environ, os.getuid() if hasattr(os, 'getuid') else 0)}"
         return cls(address, token)
 
     def __enter__(self) -> Self:

@@ -125,8 +125,8 @@ class DaemonClient:
         finally:
             self._waiting.pop(number, None)
 
-    async def motion(self, method: str, timeout_s: float = 3600.0, **params: object) -> dict[str, Any]:
-        """Call a method that moves, and wait for the end of the motion."""
+    async def motion(self, method: str, timeout_s: float | None = None, **params: object) -> dict[str, Any]:
+        """Call a method that moves, and wait for the end of the motion, as `wait` does."""
         started = await self.call(method, **params)
         return await self.wait(started, timeout_s)
 
@@ -155,8 +155,11 @@ class DaemonClient:
             )
         return answer
 
-    async def wait(self, started: dict[str, Any], timeout_s: float = 3600.0) -> dict[str, Any]:
-        """Wait for the end of a motion that `call` gave; raises what ended it early."""
+    async def wait(self, started: dict[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
+        """Wait for the end of a motion that `call` gave, however long it takes; raises what ended it early.
+
+        With `timeout_s` it raises TimeoutError then; the motion goes on.
+        """
         async with asyncio.timeout(timeout_s):
             while True:
                 params: dict[str, object] = {"motion": started["motion"], "timeout_s": _WAIT_S}
@@ -305,10 +308,14 @@ async def _connect_web(address: str, token: str | None) -> _Line:
         await session.close()
         if error.status == 401:
             raise RemoteRefusedError(
-                _UNAUTHORIZED, f"{address}: a token is needed; give the daemon's token", ""
+                _UNAUTHORIZED, f"{address}: the token is missing or wrong; give the daemon's token", ""
             ) from error
         raise NoBoardError(f"{address}: refused ({error.status} {error.message})") from error
     except (aiohttp.ClientError, OSError) as error:
         await session.close()
-        raise NoBoardError(f"no daemon on {address} ({error}); {_START_IT}") from error
+        cause = getattr(error, "os_error", error)
+        reason = getattr(cause, "strerror", None) or cause
+        raise NoBoardError(
+            f"no daemon on {address} ({reason}); start it: rm501-host serve --listen HOST:PORT (then ws://HOST:PORT/rpc)"
+        ) from error
     return _WebLine(session, socket)

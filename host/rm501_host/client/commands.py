@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from rm501_host.cli.context import CommandContext
-from rm501_host.client.client import DaemonClient
+from rm501_host.client.client import DaemonClient, RemoteRefusedError
 from rm501_host.client.session import daemon_option, talk
 from rm501_host.client.show import status_lines
 from rm501_host.config.schema import JOINT_NAMES
@@ -204,7 +204,7 @@ def send_command(
         await upload(client, file.name, text)
         if detach:
             return await client.call("program.run", name=file.name, line=line, speed=speed)
-        show = None if context.json_output else _show_progress()
+        show = None if context.json_output else show_progress()
         return await _moved(client, "program.run", show, name=file.name, line=line, speed=speed)
 
     result = talk(daemon, token_file, work)
@@ -230,7 +230,8 @@ async def upload(client: DaemonClient, name: str, text: str) -> None:
         offset = answer["bytes"]
 
 
-def _show_progress() -> Callable[[dict[str, Any]], None]:
+def show_progress() -> Callable[[dict[str, Any]], None]:
+    """What `send` does with each change of the status: messages, pauses, every tenth of the program."""
     seen: dict[str, Any] = {}
 
     def show(changed: dict[str, Any]) -> None:
@@ -239,9 +240,10 @@ def _show_progress() -> Callable[[dict[str, Any]], None]:
         for key in ("waiting", "cause", "run_state"):
             if changed.get(key):
                 click.echo(f"{key.replace('_', ' ')}: {changed[key]}", err=True)
-        if int(10 * changed.get("progress", 0)) != int(10 * seen.get("progress", 0)):
-            click.echo(f"{changed['progress']:4.0%}  {changed.get('time_left_s', 0):.0f} s left", err=True)
+        before = int(10 * seen.get("progress", 0))
         seen.update(changed)
+        if int(10 * seen.get("progress", 0)) != before:
+            click.echo(f"{seen['progress']:4.0%}  {seen.get('time_left_s', 0):.0f} s left", err=True)
 
     return show
 
@@ -267,7 +269,7 @@ def _of_a_motion(name: str, key: str, done: str, help_text: str) -> click.Comman
         async def work(client: DaemonClient) -> Any:
             result = await client.call(name)
             if not result[key]:
-                raise RefusedError(nothing_to(name, await client.call("status")))
+                raise RefusedError(nothing_to(name, await _status_if_allowed(client)))
             return result
 
         _print(context, talk(daemon, token_file, work), done)
@@ -275,8 +277,19 @@ def _of_a_motion(name: str, key: str, done: str, help_text: str) -> click.Comman
     return command
 
 
-def nothing_to(name: str, status: dict[str, Any]) -> str:
+async def _status_if_allowed(client: DaemonClient) -> dict[str, Any] | None:
+    """The status; None for a client without the token, who may stop and hold and see nothing."""
+    try:
+        status: dict[str, Any] = await client.call("status")
+    except RemoteRefusedError:
+        return None
+    return status
+
+
+def nothing_to(name: str, status: dict[str, Any] | None) -> str:
     """What to say when there is no motion to hold or abort."""
+    if status is None:
+        return f"nothing moves, so there is nothing to {name}"
     state = status["run_state"] if status["task_state"] == "ON" else status["task_state"]
     cause = f" ({status['cause']})" if status["cause"] else ""
     return f"nothing moves, so there is nothing to {name}; the machine is {state}{cause}"
