@@ -122,7 +122,7 @@ def test_after_an_interrupt_the_arm_holds_and_the_next_run_names_the_way_back(be
     wait_for_steps(bench)
     running.send_signal(signal.SIGINT)
     _, err = running.communicate(timeout=PATIENCE_S)
-    assert running.returncode == 130
+    assert running.returncode == 130, err
     assert "holds on its path" in err
     first = bench.ask({"do": "truth"})
     again = host(bench, "run", str(program))

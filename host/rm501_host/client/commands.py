@@ -20,7 +20,8 @@ from rm501_host.client.client import DaemonClient, RemoteRefusedError
 from rm501_host.client.session import daemon_option, talk
 from rm501_host.client.show import status_lines
 from rm501_host.config.schema import JOINT_NAMES
-from rm501_host.errors import NoBoardError, RefusedError, Rm501Error
+from rm501_host.error_groups import told_by
+from rm501_host.errors import RefusedError, Rm501Error
 
 _PIECE = 16_000
 """Characters of a program sent at once: 64 KiB hold them however they are encoded."""
@@ -102,8 +103,8 @@ def monitor_command(
 
     try:
         talk(daemon, token_file, follow)
-    except* NoBoardError as group:
-        raise NoBoardError(str(group.exceptions[0])) from group
+    except BaseExceptionGroup as group:
+        raise told_by(group) from None
 
 
 @click.command("home")

@@ -18,7 +18,7 @@ from rm501_host.daemon.notify import Notifier
 from rm501_host.daemon.paths import socket_path, state_folder
 from rm501_host.daemon.serve import ServeOptions, serve
 from rm501_host.daemon.service import Folders
-from rm501_host.errors import Rm501Error
+from rm501_host.error_groups import told_by
 from rm501_host.transports import SteadyPort
 
 
@@ -74,11 +74,12 @@ def serve_command(
 
     ignore_broken_pipes()
     try:
-        asyncio.run(_serve(context, options, ready))
-    except* Rm501Error as group:
-        raise _first(group) from group
-    except* asyncio.CancelledError as group:
-        raise click.Abort from group
+        try:
+            asyncio.run(_serve(context, options, ready))
+        except BaseExceptionGroup as group:
+            raise told_by(group) from None
+    except asyncio.CancelledError as cancelled:
+        raise click.Abort from cancelled
 
 
 async def _serve(context: CommandContext, options: ServeOptions, ready: object) -> None:
@@ -109,11 +110,3 @@ def _address(listen: str | None) -> tuple[str, int | None]:
     if not host or not port.isdigit() or int(port) > 65535:
         raise click.BadParameter("give HOST:PORT, such as 127.0.0.1:7501", param_hint="--listen")
     return host.strip("[]"), int(port)
-
-
-def _first(group: BaseExceptionGroup[Rm501Error]) -> Rm501Error:
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, Rm501Error)
-    return error
