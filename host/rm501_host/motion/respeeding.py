@@ -40,8 +40,8 @@ _ROOM = 1 << 19
 _LONGEST_S = 0.5
 """An arc about the waist is one cubic from its start to its end, 6 s in the thesis's program."""
 PLANNING_SHARES = (0.3, 1.0, 2.0, 3.0, 4.0)
-"""What each attempt leaves for planning, in stall budgets: a plan takes 0.05 s, and one that comes too late costs nothing
-but the next attempt.
+"""What each attempt leaves for planning, in stall budgets: a plan takes 0.05 s, and one that comes too late costs
+nothing but the next attempt.
 """
 
 

@@ -75,7 +75,13 @@ def test_a_powered_board_with_another_configuration_is_refused_naming_what_diffe
     run_virtual(main())
 
 
-@pytest.mark.parametrize(("fault", "word"), [("identity:major=9", r"the board speaks protocol 9\.0, this host 1\.0.*update rm501 on this computer"), ("identity:config=12345", "")])
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [
+        ("identity:major=9", r"the board speaks protocol 9\.0, this host 1\.0.*update rm501 on this computer"),
+        ("identity:config=12345", ""),
+    ],
+)
 def test_a_board_that_says_something_else_is_refused_or_configured(fault: str, word: str) -> None:
     async def body(session: BoardSession) -> None:
         await session.refresh_status()
