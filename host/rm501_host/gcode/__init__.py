@@ -10,6 +10,7 @@ from rm501_host.gcode.context import MachineFeedback, OfflineFeedback, ProbeResu
 from rm501_host.gcode.errors import (
     CallFrame,
     GcodeAbortError,
+    GcodeBudgetError,
     GcodeError,
     GcodeFileError,
     GcodeFlowError,
@@ -42,6 +43,7 @@ __all__ = [
     "ExternalAction",
     "FileLines",
     "GcodeAbortError",
+    "GcodeBudgetError",
     "GcodeError",
     "GcodeFileError",
     "GcodeFlowError",

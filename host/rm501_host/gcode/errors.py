@@ -8,7 +8,8 @@ GcodeError                      anything about a program; carries place, call st
 +-- GcodeGeometryError          an arc, spline or cycle that cannot be drawn
 +-- GcodeFlowError              O-words, calls, loops, the end of a program
 +-- GcodeUnsupportedError       understood, but not for an arm or not configured here
-+-- GcodeLimitError             a bound of the interpreter (depth, line length, block budget)
++-- GcodeLimitError             a bound of the interpreter (depth, line length)
+|   +-- GcodeBudgetError        the blocks that its reader allowed are read; the program may be a good one
 +-- GcodeAbortError                the program itself asked to stop: (ABORT, text)
 +-- GcodeStoppedError              the interpreter was asked to stop from outside
 +-- GcodeFileError              a program, tool table or variable file that cannot be read or written
@@ -134,6 +135,10 @@ class GcodeUnsupportedError(GcodeError):
 
 class GcodeLimitError(GcodeError):
     """A bound of the interpreter was reached."""
+
+
+class GcodeBudgetError(GcodeLimitError):
+    """`Settings.max_blocks` are read; nothing is wrong with the program so far."""
 
 
 class GcodeAbortError(GcodeError):

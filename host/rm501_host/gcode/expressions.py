@@ -323,7 +323,8 @@ class ExpressionReader:
             self.position = start
             raise self.fail(
                 f"unknown word {name!r} where a number belongs",
-                f"Functions are {', '.join(sorted([*FUNCTIONS, 'atan', 'exists'])).upper()} (docs/gcode.md).",
+                "A word is a letter and a number, as X10.5; a comment stands in (..) or behind ;. Functions are "
+                f"{', '.join(sorted([*FUNCTIONS, 'atan', 'exists'])).upper()} (docs/gcode.md).",
             )
         self._need_bracket(name)
         return _unary_node(function, self.value())

@@ -25,9 +25,9 @@ from rm501_host.gcode.context import Context, MachineFeedback, OfflineFeedback, 
 from rm501_host.gcode.coordinates import emit_g5x, emit_g92, emit_rotation
 from rm501_host.gcode.ends import end_of_file, has_last_percent, require_lone_percent, skip_to_program, unfinished_loops
 from rm501_host.gcode.errors import (
+    GcodeBudgetError,
     GcodeError,
     GcodeFlowError,
-    GcodeLimitError,
     GcodeModalError,
     GcodeParameterError,
     GcodeStoppedError,
@@ -282,7 +282,7 @@ class Interpreter:
             if self._stop:
                 raise GcodeStoppedError("the interpreter was asked to stop")
             if limit is not None and blocks > limit:
-                raise GcodeLimitError(
+                raise GcodeBudgetError(
                     f"the program did not end within {limit} blocks", "It may loop for ever; raise the limit if not."
                 )
 

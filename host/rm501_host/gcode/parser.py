@@ -159,7 +159,9 @@ def _read_item(reader: ExpressionReader, block: Block) -> None:
         _read_assignment(reader, block)
     elif letter == "o":
         if block.words or block.g_words or block.m_words or block.assignments:
-            raise reader.fail("an O-word must be the first word of its block", "Put it on a line of its own.")
+            raise reader.fail(
+                "an O-word must be the first word of its block", "Put it on a line of its own; or is it a zero?"
+            )
         _read_oword(reader, block)
     elif letter == "g":
         reader.position = start + 1

@@ -1,11 +1,13 @@
 """Lines of a program by number, from text or from a file of any size, in bounded memory.
 
 A file is read in chunks; only the byte offset of every chunk and a few decoded chunks are kept, so a loop can jump back
-and a file of 1 GB still streams. Decoding keeps every byte (UTF-8 with surrogate escapes).
+and a file of 1 GB still streams. Decoding keeps every byte (UTF-8 with surrogate escapes)
+but a byte order mark at the start.
 """
 
 from __future__ import annotations
 
+import codecs
 from bisect import bisect_right
 from collections import OrderedDict
 from pathlib import Path
@@ -34,7 +36,7 @@ class TextLines:
 
     def __init__(self, text: str, name: str = "<text>") -> None:
         self.name = name
-        lines = text.split("\n")
+        lines = text.removeprefix("\ufeff").split("\n")
         if lines and lines[-1] == "":
             lines.pop()
         self._lines = [line[:-1] if line.endswith("\r") else line for line in lines]
@@ -97,14 +99,23 @@ class FileLines:
         except OSError as error:
             reason = error.strerror or str(error)
             raise GcodeFileError(f"cannot read {self.name}: {reason}", "Check the medium.") from error
+        taken = len(data)
+        if number == 0:
+            data = self._without_mark(data)
         parts = data.split(b"\n")
         if parts and parts[-1] == b"":
             parts.pop()
         lines = [p.rstrip(b"\r").decode("utf-8", "surrogateescape") for p in parts]
         if number == len(self._starts) - 1 and not at_end:
             self._starts.append(self._starts[number] + len(lines))
-            self._offsets.append(self._offsets[number] + len(data))
+            self._offsets.append(self._offsets[number] + taken)
         self._chunks[number] = lines
         while len(self._chunks) > KEPT_CHUNKS:
             self._chunks.popitem(last=False)
         return lines
+
+    def _without_mark(self, data: bytes) -> bytes:
+        """The start of a file without the byte order mark that some editors put before UTF-8."""
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise GcodeFileError(f"{self.name} is UTF-16 text", "Save it as UTF-8, or as plain ASCII.")
+        return data.removeprefix(codecs.BOM_UTF8)

@@ -33,7 +33,9 @@ def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str
     arm = Arm.from_config(config)
     start_deg = start_joints(start, arm)
     planner = Planner(arm, config, start_deg)
-    moves = read_moves(program, arm, lambda: planner.q_deg.tolist(), lambda text: click.echo(text, err=True))
+    moves = read_moves(
+        program, arm, lambda: planner.q_deg.tolist(), lambda text: click.echo(text, err=True), config=config
+    )
     plan = Plan(arm, config, planner.plan(moves))
     positions = [*map(to_q48, arm.motors_from_joints(start_deg).tolist()), 0]
     segments = list(Segmenter(config, positions, 0).segments(plan.pieces))

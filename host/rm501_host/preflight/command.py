@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def check_command(ctx: click.Context, program: Path, start: str | None, max_blocks: int | None) -> None:
     """Check PROGRAM from its start to its end, or to the first point that depends on the outside world."""
     from rm501_host.errors import RefusedError
-    from rm501_host.gcode.errors import GcodeLimitError
+    from rm501_host.gcode.errors import GcodeBudgetError
     from rm501_host.kinematics import Arm
     from rm501_host.planner.programs import start_joints
     from rm501_host.program import program_settings, read_moves
@@ -37,7 +37,7 @@ def check_command(ctx: click.Context, program: Path, start: str | None, max_bloc
     moves = read_moves(
         program, arm, lambda: check.q_deg.tolist(), lambda text: click.echo(text, err=True), settings, config=config
     )
-    report = check.run(moves, max_moves=most, limit_error=GcodeLimitError)
+    report = check.run(moves, max_moves=most, limit_error=GcodeBudgetError)
     if ctx.obj.json_output:
         click.echo(json.dumps(_as_json(report)))
     else:

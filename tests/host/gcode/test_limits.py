@@ -7,6 +7,7 @@ import itertools
 import pytest
 
 from rm501_host.gcode import (
+    GcodeBudgetError,
     GcodeError,
     GcodeLimitError,
     GcodeMathError,
@@ -55,7 +56,7 @@ def test_a_loop_with_motion_can_be_left_at_any_time() -> None:
 
 def test_block_budget() -> None:
     error = _error("o1 repeat [1000000000]\n#1=[#1+1]\no1 endrepeat\nM2", Settings(max_blocks=5000))
-    assert isinstance(error, GcodeLimitError)
+    assert isinstance(error, GcodeBudgetError)
     assert "5000" in str(error)
 
 

@@ -6,6 +6,7 @@ import rm501_host.gcode as gcode
 
 EXPECTED = {
     "CODES", "CallFrame", "CanonCall", "CanonPrinter", "Code", "ExternalAction", "FileLines", "GcodeAbortError",
+    "GcodeBudgetError",
     "GcodeError", "GcodeFileError", "GcodeFlowError", "GcodeGeometryError", "GcodeLimitError", "GcodeMathError",
     "GcodeModalError", "GcodeParameterError", "GcodeStoppedError", "GcodeSyntaxError", "GcodeUnsupportedError",
     "GcodeWarning", "Interpreter", "Location", "MachineFeedback", "OfflineFeedback", "ProbeResult",
