@@ -115,7 +115,7 @@ class Jogger:
         loop = asyncio.get_running_loop()
         start = machine.planning_start_deg
         planned = await loop.run_in_executor(None, lambda: self._plan(start, frame, axis, speed, distance))
-        if self._wanted is not job and continuous:
+        if self._wanted is not job:  # the key was released before anything moved
             return
         session = machine.session
         session.post(Lease(self._lease_ms))

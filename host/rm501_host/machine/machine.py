@@ -37,6 +37,7 @@ from rm501_host.machine.states import Event, MachineState, Mode, TaskState, desc
 from rm501_host.motion import MotionStream
 from rm501_host.session import BoardSession
 from rm501_host.session.board_session import LinkLostError, Notice
+from rm501_host.session.refusals import BoardRefusedError
 from rm501_host.storage import JsonLog, PositionFile
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause
 from rm501_protocol.faults import FaultCode
@@ -113,6 +114,8 @@ class Machine:
         )
         self._aborting = False
         self._resets = asyncio.Lock()
+        self._saves = asyncio.Lock()
+        self._stops = 0
 
     # -------------------------------------------------------------------------------------------- life
 
@@ -210,6 +213,7 @@ class Machine:
 
         Raises NoBoardError when there is nobody to tell, LinkLostError when nobody has acknowledged it.
         """
+        self._stops += 1
         self.write_log("stop", who=who.name, category=kind.name, state=describe(self.state))
         self._continue.set()
         if self.state.task is TaskState.ON:
@@ -226,23 +230,25 @@ class Machine:
             raise LinkLostError(f"{kind.name} has not been acknowledged: {error}; {_BY_ITSELF}") from error
 
     async def hold(self, who: Owner = _SYSTEM) -> bool:
-        """Feed hold on the path; False when nothing moves. Anybody may.
+        """Feed hold on the path; False when nothing moves. Anybody may, whoever has the lease; a jog ends.
 
-        Raises NoBoardError when there is no board to tell it to, LinkLostError when it is silent.
+        An arm that stands held for another reason (override 0, a late host) is held by a user from then on. Raises
+        NoBoardError when there is no board to tell it to, LinkLostError when it is silent.
         """
         self.write_log("hold", who=who.name)
         session = self._port.session
         if session is None or session.failure is not None:
             raise NoBoardError(f"nobody can be told to hold: {self._no_board()}; {_BY_ITSELF}")
-        if self.state is MachineState.RUNNING and self.job is not None and self.job.kind is not JobKind.JOG:
+        job = self.job
+        if job is None or self.state not in (MachineState.RUNNING, MachineState.HOLDING, MachineState.HELD):
+            return False
+        if job.kind is JobKind.JOG:
+            await self._end_on_the_path(job)
+        elif not self.waiting_for:
             session.post(Hold())
             if session.link_silent:
                 raise LinkLostError(f"the hold is on its way, but the board has been silent for a second; {_BY_ITSELF}")
-            return True
-        if self.state is MachineState.RUNNING:
-            await self.abort(who)
-            return True
-        return self.state in (MachineState.HOLDING, MachineState.HELD)
+        return True
 
     # --------------------------------------------------------------------- what the owner may do
 
@@ -270,10 +276,18 @@ class Machine:
         if job is None:
             return False
         self.write_log("abort", who=who.name, motion=job.id)
-        self._abort_now(self.session)
-        async with asyncio.timeout(REST_TIMEOUT_S):
-            await job.done.wait()
+        await self._end_on_the_path(job)
         return True
+
+    async def _end_on_the_path(self, job: Job) -> None:
+        self._abort_now(self.session)
+        try:
+            async with asyncio.timeout(REST_TIMEOUT_S):
+                await job.done.wait()
+        except TimeoutError:
+            raise StoppedError(
+                f"motion {job.id} has not ended within {REST_TIMEOUT_S:.0f} s; look at the arm and the status, or stop"
+            ) from None
 
     async def set_override(self, ratio: float, who: Owner) -> None:
         """Feed override 0..2, along the path. Up to 1 at once; above it a program is planned anew for higher feeds, and
@@ -304,28 +318,45 @@ class Machine:
         """Leave ESTOP or OFF: clear the fault that is named, drop what is queued, switch the motors on.
 
         Raises RefusedError naming a fault that was not named, NoBoardError, BoardRefusedError when its cause is still
-        there. Nothing moves.
+        there, StoppedError when somebody stops meanwhile: the stop wins. Nothing moves.
         """
         self.lease.require_control(who)
         async with self._resets:
-            session = self.session
-            if self.state.task is TaskState.ON and self.state is not MachineState.IDLE:
-                raise RefusedError(f"the machine is {describe(self.state)}; stop or abort first")
-            if self.state is MachineState.IDLE and session.status is not None and session.status.power:
-                return
-            self.write_log("reset", who=who.name, fault=fault)
-            status = await session.refresh_status()
-            if status.state is BoardState.FAULT:
-                status = await self._clear_fault(session, status, fault)
-            await settle(session, self._newest_end)
-            if session.status is not None and session.status.state is BoardState.IDLE:
-                session.post(Reset(FaultCode.NONE))
-            if self.state is MachineState.ESTOP:
-                self._apply(Event.RESET)
-            self._causes.clear()
-            self._causes.add(causes.AFTER_RESET)
-            if power:
-                await self._power_on(session)
+            stops = self._stops
+            refused: Rm501Error | None = None
+            try:
+                await self._reset(who, fault, power=power, stops=stops)
+            except (BoardRefusedError, StoppedError) as error:
+                if self._stops == stops:
+                    raise
+                refused = error
+            if self._stops != stops:
+                self._causes.add(causes.OPERATOR_STOP)
+                raise StoppedError(
+                    "somebody stopped the machine during the reset; look at the arm, then reset again"
+                ) from refused
+
+    async def _reset(self, who: Owner, fault: str | None, *, power: bool, stops: int) -> None:
+        session = self.session
+        if self.state.task is TaskState.ON and self.state is not MachineState.IDLE:
+            raise RefusedError(f"the machine is {describe(self.state)}; stop or abort first")
+        if self.state is MachineState.IDLE and session.status is not None and session.status.power:
+            return
+        self.write_log("reset", who=who.name, fault=fault)
+        status = await session.refresh_status()
+        if status.state is BoardState.FAULT:
+            status = await self._clear_fault(session, status, fault)
+        await settle(session, self._newest_end)
+        if self._stops != stops:
+            return
+        if session.status is not None and session.status.state is BoardState.IDLE:
+            session.post(Reset(FaultCode.NONE))
+        if self.state is MachineState.ESTOP:
+            self._apply(Event.RESET)
+        self._causes.clear()
+        self._causes.add(causes.AFTER_RESET)
+        if power:
+            await self._power_on(session)
 
     async def power_off(self, who: Owner) -> None:
         """Motor power off at rest. Where the line is fitted the arm sinks and the position is trusted no longer."""
@@ -389,7 +420,7 @@ class Machine:
 
     async def _run_job(self, job: Job, body: Callable[[Job], Awaitable[None]]) -> None:
         try:
-            await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=True))
+            await self._save(dirty=True)
             await body(job)
         except Rm501Error as error:
             job.error = error
@@ -429,7 +460,14 @@ class Machine:
         text = None if job.error is None else str(job.error)
         self.write_log("motion_end", motion=job.id, what=job.kind.value, error=text)
         if is_settled and self._is_open(session):
-            await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=False))
+            await self._save(dirty=False)
+
+    async def _save(self, *, dirty: bool) -> None:
+        """Write the position file; in the order of the calls: the end of one motion and the beginning of the next may
+        meet here.
+        """
+        async with self._saves:
+            await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=dirty))
 
     async def _settled(self, session: BoardSession) -> bool:
         """Bring the board of `session` to rest after a motion that broke off; False, and ESTOP, when it does not tell

@@ -121,6 +121,7 @@ class Programs:
 
     async def _load(self, name: str, *, line: int, speed: float) -> tuple[LoadedProgram, Checked]:
         path = self.files.path(name)
+        self._refuse_while_moving(name)
         if not 0.0 < speed <= 2.0:
             raise RefusedError(f"speed {speed} is not above 0 and at most 2")
         if missing := self._machine.arm_state.unhomed():
@@ -140,11 +141,25 @@ class Programs:
         except BaseException:
             program.close()
             raise
+        try:
+            self._refuse_while_moving(name)
+        except RefusedError:
+            program.close()
+            raise
         self.checked = checked
         self.name, self._is_done = name, False
         self.player.show(_lines_of(path))
         self._machine.write_log("program_loaded", name=name, line=line, duration_s=round(checked.duration_s, 3))
         return program, checked
+
+    def _refuse_while_moving(self, name: str) -> None:
+        """A program is checked from where the arm stands; and what is shown belongs to the one that runs."""
+        job = self._machine.job
+        if job is not None:
+            raise RefusedError(
+                f"{name} is checked from where the arm stands, and {job.owner.name} moves it ({job.kind.value}); "
+                "wait for the end of that, or abort it"
+            )
 
     # ------------------------------------------------------------------------------------------------- run
 
