@@ -6,7 +6,7 @@ way between them. Means of limited quantities are limited, also across jumps of 
 shows more than 1, whatever h. Nothing is loosened but for rounding: places near 180 deg carry 3e-14 deg, so a second
 difference over 1 ms carries 1e-7 deg/s^2 (6e-9 of a limit); where the last interval is shorter, its own rounding. The
 arm stands before the first and after the last sample, so the samples are continued there: a law that begins or ends
-with a speed shows it as an acceleration.
+with a speed shows it as an acceleration. Where the jerk is limited the same holds for third differences.
 
 The path is compared with `judge_program`'s own geometry; each sample may lie on the ways its line names and on the
 neighbours in the program's order.
@@ -36,6 +36,7 @@ class Verdict:
 
     joint_velocity: float = 0.0
     joint_acceleration: float = 0.0
+    joint_jerk: float = 0.0
     motor_rate: float = 0.0
     motor_acceleration: float = 0.0
     feed: float = 0.0
@@ -51,6 +52,7 @@ class Verdict:
         return max(
             self.joint_velocity,
             self.joint_acceleration,
+            self.joint_jerk,
             self.motor_rate,
             self.motor_acceleration,
             self.feed,
@@ -108,6 +110,8 @@ def _rates(config: Config, verdict: Verdict, t_s: Array, q_deg: Array) -> None:
     size = np.maximum(np.abs(accelerations) - rounding, 0.0) / acceleration
     motor_size = np.maximum(np.abs(accelerations @ motors.T) - 80.0 * rounding, 0.0) / motor_acceleration
     fast, fast_motors = np.abs(rates) / velocity, np.abs(rates @ motors.T) / rate
+    if config.planner.jerk_limited:
+        _jerks(config, verdict, h, accelerations)
     verdict.joint_velocity = float(fast.max())
     verdict.joint_acceleration = float(size.max())
     verdict.motor_rate = float(fast_motors.max())
@@ -119,6 +123,20 @@ def _rates(config: Config, verdict: Verdict, t_s: Array, q_deg: Array) -> None:
     beyond = np.maximum(low - q_deg, q_deg - high).max()
     if beyond > TOLERANCE:
         verdict.wrongs.append(f"a joint is {beyond:.3g} deg beyond its range")
+
+
+def _jerks(config: Config, verdict: Verdict, h: Array, accelerations: Array) -> None:
+    """Third differences: means of the jerk under a bell of four places' span, on uneven spacing too.
+
+    Their rounding is eight places' of up to 256 deg with half a unit in the last place over 1 ms cubed: 2e-4 deg/s^3,
+    2e-6 of the least limit, and more where the last intervals are shorter: so much is allowed.
+    """
+    jerk = np.array([j.max_jerk_deg_s3 for j in config.joints.ordered])
+    span = (h[2:] + h[1:-1] + h[:-2]) / 3.0
+    found = np.abs(np.diff(accelerations, axis=0)) / span[:, None]
+    least = np.minimum(np.minimum(h[2:], h[1:-1]), h[:-2])
+    rounding = (8.0 * 2.0**-45 / (least**2 * span))[:, None]
+    verdict.joint_jerk = float((np.maximum(found - rounding, 0.0) / jerk).max(initial=0.0))
 
 
 def _ends(verdict: Verdict, items: Sequence[Item], q_deg: Array, start_deg: Array) -> None:

@@ -25,6 +25,7 @@ from rm501_host.kinematics import Arm
 
 from .elements import Array, Element, ElementTable, Indices
 from .geometry import joints_along, path_points
+from .jerk_slowing import slowdown_of_intervals, slowed
 from .law import PathLaw, passed
 from .limits import Limits
 from .outputs import Place, output_events
@@ -32,9 +33,13 @@ from .pieces import PieceEvent
 from .timelaw import IntervalLines, fastest_speeds
 
 PROBE_S = 1e-3
+_CLOSEST_S = 1e-5
+"""Between probes closer together than this the difference of accelerations is rounding."""
 _MARGIN = 1e-6
 _ROUNDS = 24
-_CLOSE = 1.01
+_CLOSE = 1.0004
+_OVER = 1.0005
+_PATIENCE = 6
 
 
 def window_of(limits: Limits) -> float:
@@ -67,34 +72,42 @@ class JerkLaw:
         joints' jerk, a whole number of frames long.
         """
         window_s = window_of(limits)
+        # neither way is better everywhere: sharp blends want speeds capped, everything else accelerations lowered too
+        found = [cls._slowed_down(base, lines, limits, window_s, with_accelerations=both) for both in (True, False)]
+        _, best = min(found, key=lambda item: item[0])
+        _, ratios = best.slowdowns(limits)
+        stretch = max(1.0, float(ratios.max())) * (1.0 + _MARGIN)
+        frames = np.ceil(best.duration_s * stretch / frame_s - 1e-9)
+        return replace(best, stretch=float(frames * frame_s / best.duration_s))
+
+    @classmethod
+    def _slowed_down(
+        cls, base: PathLaw, lines: IntervalLines, limits: Limits, window_s: float, *, with_accelerations: bool
+    ) -> tuple[float, JerkLaw]:
+        """The average of a base law slowed down where it is too fast, and how long it takes once stretched."""
         best = law = cls.smoothed(base, window_s)
         least = np.inf
-        cap = np.full(len(base.element), np.inf)
-        for _ in range(_ROUNDS):
+        count = len(base.element)
+        cap, scale = np.full(count, np.inf), np.ones(count)
+        for turn in range(_ROUNDS):
             times, ratios = law.slowdowns(limits)
             duration = law.duration_s * float(max(1.0, ratios.max()))
             if duration < least:
                 least, best = duration, law
             if ratios.max() <= _CLOSE:
                 break
-            # where the smoothed law is too fast, the base law passed half a window to either side of it
-            slower = np.ones(len(base.element))
-            first = np.searchsorted(law.base.time_s, times - window_s) - 1
-            last = np.searchsorted(law.base.time_s, times)
-            for at in np.flatnonzero(ratios > 1.0):
-                span = slice(max(0, int(first[at])), int(last[at]) + 1)
-                slower[span] = np.maximum(slower[span], ratios[at])
+            needed = slowdown_of_intervals(law.base.time_s, times, ratios, window_s)
+            gain = 1.0 + max(0, turn - _PATIENCE) if with_accelerations else 1.0
+            factor = np.where(needed > 1.0, (needed * _OVER) ** (-2.0 * gain), 1.0)
             squared = np.maximum(law.base.speed[:-1], law.base.speed[1:]) ** 2
-            cap = np.minimum(cap, np.where(slower > 1.0, squared / slower**2, np.inf))
-            capped = replace(lines, peak_x=np.minimum(lines.peak_x, cap), y_cap=np.minimum(lines.y_cap, cap))
-            speeds = fastest_speeds(capped)
+            cap = np.where(needed > 1.0, np.minimum(cap, squared * factor), cap)
+            if with_accelerations:
+                scale = scale * factor
+            speeds = fastest_speeds(slowed(lines, scale, cap))
             speeds[-1] = 0.0
             again = PathLaw.from_speeds(base.arm, base.table, base.element, base.start, base.stop, speeds)
             law = cls.smoothed(again, window_s)
-        _, ratios = best.slowdowns(limits)
-        stretch = max(1.0, float(ratios.max())) * (1.0 + _MARGIN)
-        frames = np.ceil(best.duration_s * stretch / frame_s - 1e-9)
-        return replace(best, stretch=float(frames * frame_s / best.duration_s))
+        return least, best
 
     @classmethod
     def smoothed(cls, base: PathLaw, window_s: float) -> JerkLaw:
@@ -204,14 +217,23 @@ class JerkLaw:
         """None: accelerations are continuous."""
         return np.zeros(0), np.zeros(0)
 
+    def _probes(self, first_s: float) -> Array:
+        """Every millisecond, and where the average passes the grid points of its base law: the grid is fine where the
+        path bends sharply, within less than a millisecond at times.
+        """
+        count = max(32, int((self.duration_s - first_s) / PROBE_S))
+        even = np.linspace(first_s, self.duration_s, count + 1)
+        passed_s = np.interp(self.way, self._path(even)[0], even)
+        probes: Array = np.unique(np.concatenate((even, passed_s[passed_s >= first_s])))
+        return probes
+
     def slowdowns(self, limits: Limits, first_s: float = 0.0, anchor_s: float | None = None) -> tuple[Array, Array]:
         """Times (n,), and how much slower the law would have to be there for every limit to hold (n,): the ratio of
-        rates, the square root of that of accelerations, the cube root of that of jerks. From `first_s` on; with
-        `anchor_s` at whole milliseconds from that.
+        rates, the square root of that of accelerations, the cube root of that of jerks. From `first_s` on, every
+        millisecond and where it passes grid points; with `anchor_s` at whole milliseconds from that.
         """
         if anchor_s is None:
-            count = max(32, int((self.duration_s - first_s) / PROBE_S))
-            times = np.linspace(first_s, self.duration_s, count + 1)
+            times = self._probes(first_s)
         else:
             low, high = np.floor((first_s - anchor_s) / PROBE_S), np.ceil((self.duration_s - anchor_s) / PROBE_S)
             times = anchor_s + PROBE_S * np.arange(low, high + 1.0)
@@ -220,7 +242,11 @@ class JerkLaw:
         points = path_points(self.base.arm, self.base.table, index, s)
         rates = points.q1 * v[:, None]
         accelerations = points.q1 * u[:, None] + points.q2 * (v * v)[:, None]
-        jerks = np.abs(np.diff(accelerations, axis=0)) / (times[1] - times[0]) / limits.jerk_deg_s3
+        jerks = (
+            np.abs(np.diff(accelerations, axis=0))
+            / np.maximum(np.diff(times), _CLOSEST_S)[:, None]
+            / limits.jerk_deg_s3
+        )
         speed = (np.abs(rates @ limits.rows.T) / limits.velocity).max(axis=1)
         feed = np.minimum(self.base.table.feed_mm_s[index], limits.tcp_speed_mm_s)
         speed = np.maximum(speed, np.linalg.norm(points.p1, axis=1) * v / feed)

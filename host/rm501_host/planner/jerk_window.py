@@ -25,10 +25,11 @@ from .geometry import path_points
 from .grid import Grid, GridBuilder
 from .jerk import PROBE_S, JerkLaw, window_of
 from .jerk_lead import SmoothLead
+from .jerk_slowing import needed_scale, slowdown_of_intervals, slowed
 from .law import PathLaw
 from .limits import Limits
 from .outputs import Place
-from .timelaw import IntervalLines, backward_pass, forward_pass, joined_lines, sliced_lines
+from .timelaw import backward_pass, forward_pass, joined_lines, sliced_lines
 from .window import MOST_INTERVALS, Stretch, Window
 
 _FIRST_CAP = 1.4
@@ -170,7 +171,7 @@ class JerkWindow:
             return self._give_up()
         squared, law, begin = solved
         # without the slowing down, which has been found for a law that stops: with it even the other one would stop
-        lines = _slowed(grid.lines, np.ones(len(grid)), self._first_cap)
+        lines = slowed(grid.lines, np.ones(len(grid)), self._first_cap)
         careful = forward_pass(lines, float(squared[0]), backward_pass(lines, 0.0))
         hopeful = forward_pass(lines, float(squared[0]), backward_pass(lines, float(lines.y_cap[-1])))
         apart = np.flatnonzero(np.abs(hopeful - careful) > 1e-9 * (hopeful + 1e-30))
@@ -215,7 +216,7 @@ class JerkWindow:
             return [], False
         ways = np.concatenate((np.zeros(1), np.cumsum(grid.lines.length)))
         squared, times = lead.squared(ways), lead.times_s(ways)
-        reach = backward_pass(_slowed(grid.lines, np.ones(len(grid)), self._first_cap), 0.0)
+        reach = backward_pass(slowed(grid.lines, np.ones(len(grid)), self._first_cap), 0.0)
         possible = np.flatnonzero((squared <= reach)[: len(grid) - _LEAST_LEFT])
         tried_s = -np.inf
         tries: list[int] = []
@@ -243,7 +244,7 @@ class JerkWindow:
         held = int(np.searchsorted(times, times[join] + _HELD_WINDOWS * self._window_s)) - join
         law = squared[join : join + max(1, min(held, len(left))) + 1]
         law[0] = passed.squared[-1]
-        self._known = _KnownStop(law, _needed_scale(left.lines, law))
+        self._known = _KnownStop(law, needed_scale(left.lines, law))
         solved = self._solve()
         if solved is None:
             self._scale, self._cap = np.ones(len(left)), _GENTLE * self._first_cap
@@ -280,7 +281,7 @@ class JerkWindow:
         assert grid is not None
         first_x = 0.0 if past is None else float(past.squared[-1])
         for turn in range(_ROUNDS):
-            lines = _slowed(grid.lines, self._scale, self._cap)
+            lines = slowed(grid.lines, self._scale, self._cap)
             if followed and self._known is not None:
                 caps = lines.y_cap.copy()
                 caps[:followed] = np.minimum(caps[:followed], self._known.squared[1 : followed + 1])
@@ -348,7 +349,7 @@ class JerkWindow:
         """Where the average is too fast by `ratios`, (n,), slow down what it is made of: speeds by as much, and
         accelerations by its square; by powers of that, `gain`, where it takes long.
         """
-        needed = _spread(law.base.time_s[begin:], times, ratios, self._window_s)
+        needed = slowdown_of_intervals(law.base.time_s[begin:], times, ratios, self._window_s)
         factor = np.where(needed > 1.0, (needed * _OVER) ** (-2.0 * gain), 1.0)
         speeds = law.base.speed[begin:]
         own = np.maximum(speeds[:-1], speeds[1:]) ** 2
@@ -477,52 +478,3 @@ class JerkWindow:
 def _place(law: JerkLaw, time_s: float) -> Place:
     index, s = law.places(np.array([time_s]))
     return int(index[0]), float(s[0])
-
-
-def _needed_scale(lines: IntervalLines, squared: Array) -> Array:
-    """The least share of the accelerations with which a law (m + 1,) of the first m intervals is possible, (m,)."""
-    count = len(squared) - 1
-    x, y = squared[:-1, None], squared[1:, None]
-    first = ((x - lines.beta[:count] * y) / lines.alpha[:count]).max(axis=1)
-    last = ((y - lines.delta[:count] * x) / lines.gamma[:count]).max(axis=1)
-    share: Array = np.clip(np.maximum(np.maximum(first, last), squared[:-1] / lines.peak_x[:count]) * 1.001, 0.0, 1.0)
-    return share
-
-
-def _spread(base_s: Array, times: Array, ratios: Array, window_s: float) -> Array:
-    """The largest of the `ratios` (n,) at `times` (n,) whose averages over the window contain each interval of the base
-    law, whose grid points are passed at `base_s` (m + 1,); (m,), at least 1.
-    """
-    first = np.searchsorted(times, base_s[:-1], side="left")
-    last = np.searchsorted(times, base_s[1:] + window_s, side="right")
-    return np.maximum(_largest(ratios, first, last), 1.0)
-
-
-def _largest(values: Array, first: Indices, last: Indices) -> Array:
-    """The largest of `values` from each of `first` to before each of `last` (n,); 0 where there are none.
-
-    Every range is covered by two that may overlap, whose lengths are a power of two.
-    """
-    sizes = np.maximum(last - first, 1)
-    level = np.frexp(sizes.astype(np.float64))[1] - 1
-    result = np.zeros(len(first))
-    row, span = values, 1
-    for k in range(int(level.max(initial=0)) + 1):
-        here = np.flatnonzero((level == k) & (last > first))
-        result[here] = np.maximum(row[first[here]], row[last[here] - span])
-        row = np.maximum(row[:-span], row[span:]) if len(row) > span else row
-        span *= 2
-    return result
-
-
-def _slowed(lines: IntervalLines, scale: Array, cap: Array) -> IntervalLines:
-    """The limits with accelerations times `scale` and squared speeds at most `cap`, (n,) each."""
-    column = scale[:, None]
-    return replace(
-        lines,
-        alpha=lines.alpha * column,
-        gamma=lines.gamma * column,
-        peak_x=np.minimum(lines.peak_x * scale, cap),
-        peak_y=lines.peak_y * scale,
-        y_cap=np.minimum(lines.y_cap, cap),
-    )
