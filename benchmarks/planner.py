@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from math import cos, radians, sin
+from math import atan2, copysign, cos, degrees, hypot, pi, radians, sin
 from pathlib import Path
 
 import msgspec
@@ -25,8 +25,9 @@ import numpy as np
 
 from rm501_host.config import load_config
 from rm501_host.kinematics import Arm
-from rm501_host.moves import ArcMove, Feed, LinearMove, Move, Source
+from rm501_host.moves import ArcMove, Feed, LinearMove, Move, PathMode, PathModeChange, Source
 from rm501_host.planner import Plan, Planner
+from rm501_host.planner import planner as planner_module
 from rm501_host.planner.limits import Limits
 from tests.host.planner.programs import (
     PICK_START_DEG,
@@ -249,6 +250,80 @@ def run_zigzags(count: int) -> bool:
     return good
 
 
+def engraving(count: int) -> list[Move]:
+    """Short arcs, every second one with a corner before it, within 20 mm of one place, at F3000 and G64 P0.05."""
+    draw = np.random.default_rng(3)
+    moves: list[Move] = [mode(0.05)]
+    x, y, heading = 300.0, 0.0, 0.0
+    for i in range(count):
+        radius, turn = float(draw.uniform(0.3, 3.0)), radians(float(draw.choice((-1.0, 1.0)) * draw.uniform(20, 120)))
+        heading += float(draw.uniform(-1.0, 1.0)) * (i % 2)
+        if hypot(x - 300.0, y) > 20.0:
+            heading = atan2(-y, 300.0 - x)
+        left = copysign(radius, turn)
+        centre_x, centre_y = x - left * sin(heading), y + left * cos(heading)
+        heading += turn
+        x, y = centre_x + left * sin(heading), centre_y - left * cos(heading)
+        goal, centre = (x, y, 150.0, 0.0, 0.0, 0.0), (centre_x, centre_y, 150.0)
+        moves.append(ArcMove(goal, centre, (0.0, 0.0, 1.0), degrees(turn), Feed(3000.0), Source("arcs.ngc", i + 2)))
+    return moves
+
+
+def scribble(count: int) -> list[Move]:
+    """Lines of 0.1 to 1 mm in any direction, within 30 mm of one place, at F6000 and G64 P0.1."""
+    draw = np.random.default_rng(5)
+    moves: list[Move] = [mode(0.1)]
+    at = np.zeros(2)
+    for i in range(count):
+        angle = float(draw.uniform(0.0, 2.0 * pi))
+        step = float(draw.uniform(0.1, 1.0)) * np.array((cos(angle), sin(angle)))
+        at = at + step if float(np.linalg.norm(at + step)) < 30.0 else at - step
+        goal = (300.0 + float(at[0]), float(at[1]), 150.0, 0.0, 0.0, 0.0)
+        moves.append(LinearMove(goal, Feed(6000.0), Source("scribble.ngc", i + 2)))
+    return moves
+
+
+def in_mode(moves: list[Move], path_mode: PathMode) -> list[Move]:
+    """The same moves in G61 or G61.1."""
+    return [PathModeChange(path_mode, None, None, Source("mode.ngc", 1)), *moves[1:]]
+
+
+STREAMED: tuple[tuple[str, Callable[[int], list[Move]], tuple[float, float, float]], ...] = (
+    ("spiral, 0.2 mm, P0.5", lambda n: spiral(5000)[: n + 1], (310.0, 0.0, 150.0)),
+    ("zigzag, 0.2 mm, 90 deg, P0.05", lambda n: [mode(0.05), *zigzag(n, 0.2, 90.0)[1:]], (300.0, -30.0, 150.0)),
+    ("the same in G61", lambda n: in_mode(zigzag(n, 0.2, 90.0), PathMode.EXACT_PATH), (300.0, -30.0, 150.0)),
+    ("zigzag, 0.2 mm, 30 deg, P0.5", lambda n: zigzag(n, 0.2, 30.0), (300.0, -30.0, 150.0)),
+    ("zigzag, 0.2 mm, 135 deg, P0.5", lambda n: zigzag(n, 0.2, 135.0), (300.0, -30.0, 150.0)),
+    ("short arcs, P0.05", engraving, (300.0, 0.0, 150.0)),
+    ("lines of 0.1 to 1 mm, P0.1", scribble, (300.0, 0.0, 150.0)),
+)
+
+
+def run_streams(count: int) -> bool:
+    """Planning speed of short moves, and what the window costs: streamed against planned as a whole."""
+    good = True
+    title = f"streams of {count} moves"
+    print(f"{title:32} {'moves/s':>9} {'x real time':>12} {'motion s':>10} {'of whole':>9}")
+    for name, program, place in STREAMED:
+        moves, start = program(count), ARM.ik(place, 0.0, 0.0).best
+        assert start is not None
+        before = time.process_time()
+        motion_s = sum(piece.motion_s for piece in Planner(ARM, CONFIG, start.q_deg).plan(moves))
+        cpu = time.process_time() - before
+        bounded, planner_module.CHUNK_ELEMENTS = planner_module.CHUNK_ELEMENTS, 1_000_000
+        try:
+            whole_s = sum(piece.motion_s for piece in Planner(ARM, CONFIG, start.q_deg).plan(moves))
+        finally:
+            planner_module.CHUNK_ELEMENTS = bounded
+        fine = motion_s <= 1.0005 * whole_s and motion_s >= 3.0 * cpu
+        good &= fine
+        print(
+            f"{name:32} {count / cpu:9.0f} {motion_s / cpu:12.1f} {motion_s:10.3f} {motion_s / whole_s:9.6f}"
+            f"{'' if fine else '  MISSED'}"
+        )
+    return good
+
+
 def run_jerk(count: int) -> bool:
     """The first lines of the same spiral with the jerk limit, as they stream; whether legal and without a stop."""
     planned = msgspec.structs.replace(CONFIG, planner=msgspec.structs.replace(CONFIG.planner, jerk_limited=True))
@@ -280,6 +355,7 @@ def main() -> int:
     good &= run_spiral(5000)
     good &= run_jerk(min(5000, int(options.n)))
     good &= run_zigzags(100)
+    good &= run_streams(1000)
     print("CPU to the first segment and memory of long programs: python -m benchmarks.long_program --n 1e5")
     print("planner: every target met" if good else "planner: TARGETS MISSED")
     return 0 if good else 1

@@ -39,6 +39,7 @@ class PlannedProgram:
         self._check = check
         self._planner = planner
         self._planned: tuple[Piece, ...] | None = None
+        self._ahead: deque[Source | LogNote] = deque()
         self._planned_s = 0.0
         self._planned_motion_s = 0.0
         self.preflight = PreflightReport((), 0, False, "not checked yet", 0)
@@ -78,7 +79,7 @@ class PlannedProgram:
         """
         if self._planned is not None:
             return self._planned_s
-        taken, read = self._rolling.taken, self._rolling.checked
+        taken, read = self._rolling.taken - len(self._ahead), self._rolling.checked
         if self._planned_s > 0.0 and taken > 0:
             return max(self._planned_s, self._planned_s * read / taken)
         return self._check.nominal_s
@@ -108,28 +109,34 @@ class PlannedProgram:
             yield piece
 
     def _with_notes(self) -> Iterator[Piece]:
-        """The plan, each log comment behind the piece in which the move before it ends."""
-        notes: deque[tuple[LogNote, Source | None]] = deque()
-        last: Source | None = None
+        """The plan, each log comment behind the piece in which the move before it ends.
+
+        The planner reads ahead of what it yields, so the comments wait among the sources of the moves: a piece passes
+        what comes before its first source, and, once played, all to its last one.
+        """
+        ahead = self._ahead
 
         def moves() -> Iterator[Move | Action]:
-            nonlocal last
             for move in self._rolling:
                 if isinstance(move, LogNote):
-                    notes.append((move, last))
+                    ahead.append(move)
                 else:
                     if not isinstance(move, PathModeChange | ToolChange):
-                        last = move.source
+                        ahead.append(move.source)
                     yield move
 
+        last: Piece | None = None
         for piece in self._planner.plan(moves()):
-            while notes and notes[0][1] is None:
-                yield self._note(notes.popleft()[0], None)
+            first_source, last_source = _sources(piece)
+            for note in _notes_to(ahead, first_source, behind=False):
+                yield self._note(note, last)
             yield piece
-            while notes and (piece.ends_at_rest or _is_in(notes[0][1], piece)):
-                yield self._note(notes.popleft()[0], piece)
-        for note, _ in notes:
-            yield self._note(note, None)
+            last = piece
+            for note in _notes_to(ahead, last_source, behind=True):
+                yield self._note(note, piece)
+        for item in ahead:
+            if isinstance(item, LogNote):
+                yield self._note(item, last)
 
     def _note(self, note: LogNote, after: Piece | None) -> Piece:
         rest = tuple(self._planner.q_deg.tolist()) if after is None else after.rest_deg
@@ -158,9 +165,31 @@ class PlannedProgram:
             yield Piece(PieceKind.MARK, source, 0.0, 0.0, rest, move=fault)
 
 
-def _is_in(source: Source | None, piece: Piece) -> bool:
+def _sources(piece: Piece) -> tuple[Source, Source]:
+    """The first and the last block that a piece belongs to."""
     table = getattr(piece.law, "table", None)
-    return table is not None and any(element.source is source for element in table.elements)
+    return (piece.source, piece.source) if table is None else (table.elements[0].source, table.elements[-1].source)
+
+
+def _notes_to(ahead: deque[Source | LogNote], source: Source, *, behind: bool) -> list[LogNote]:
+    """Take what comes before a source from `ahead`, with `behind` that itself and the notes next to it, too: the notes
+    of it. Nothing where the source is not there.
+    """
+    if not any(item is source for item in ahead):
+        return []
+    taken: list[Source | LogNote] = []
+    while ahead[0] is not source:
+        taken.append(ahead.popleft())
+    if behind:
+        taken.append(ahead.popleft())
+        taken += _leading_notes(ahead)
+    return [item for item in taken if isinstance(item, LogNote)]
+
+
+def _leading_notes(ahead: deque[Source | LogNote]) -> Iterator[LogNote]:
+    while ahead and isinstance(note := ahead[0], LogNote):
+        ahead.popleft()
+        yield note
 
 
 def check_and_plan(

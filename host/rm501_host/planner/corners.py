@@ -8,14 +8,15 @@ the corner and from the path, in mm at the tool centre point, also for blends in
 
 Where a corner turns by more than `CHECKED_RAD`, the blend is used only if the fastest law through it is faster than
 the one that stops: the limits are anisotropic (the waist has ten times the acceleration of the others), so a blend
-is not always faster. Both are first timed on one rough grid, which settles what differs clearly, and on finer ones only
-where that leaves doubt.
+is not always faster. Both are timed on one rough grid first, which settles what differs clearly, on a finer one only
+where that leaves doubt; many corners at a time, for a numpy call costs as much for one as for many.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import acos, pi, sqrt, tan
+from math import acos, inf, pi, sqrt, tan
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from .grid import COARSE, ROUGH, GridBuilder
 from .limits import Limits
 from .quintic import QuinticCurve
 from .rounding import round_curves, round_lines
-from .timelaw import fastest_speeds, law_duration, sliced_lines
+from .timelaw import fastest_speeds, law_durations, stopping_lines
 
 TANGENT = 1e-7
 """Relative difference of tangents that counts as none: at 30 deg/s, 3e-6 deg/s of jump."""
@@ -51,19 +52,30 @@ _QUINTIC_SLOPE = _SHARES**3 * (-4.0 + 7.0 * _SHARES - 3.0 * _SHARES**2)
 @dataclass(frozen=True, slots=True, eq=False)
 class Corner:
     """What replaces a corner: `before` and `after` are cut off the two neighbours, `elements` go between. `spare_mm`:
-    how much is left of the tolerance.
+    how much is left of the tolerance; `is_doubtful`: whether it is only used if that is faster than to stop.
     """
 
     before: float
     after: float
     elements: tuple[Element, ...]
     spare_mm: float = 0.0
+    is_doubtful: bool = False
 
 
 _LEAST_SHARE = 0.2
 """Jerk-limited blends take half of both neighbours unless one is shorter than this share of the other."""
 
 SMOOTH = Corner(0.0, 0.0, ())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """A corner in doubt: from `first`, whose first `used` is taken already, into `second`, by `corner`."""
+
+    first: Element
+    used: float
+    second: Element
+    corner: Corner
 
 
 class CornerMaker:
@@ -80,6 +92,14 @@ class CornerMaker:
         self, first: Element, used: float, second: Element, mode: PathMode, tolerance_mm: float
     ) -> Corner | None:
         """The way from `first` (whose first `used` is taken already) into `second`; None: stop there."""
+        corner = self.candidate(first, second, mode, tolerance_mm)
+        if corner is not None and corner.is_doubtful:
+            (is_faster,) = self.are_faster([Passage(first, used, second, corner)])
+            return corner if is_faster else None
+        return corner
+
+    def candidate(self, first: Element, second: Element, mode: PathMode, tolerance_mm: float) -> Corner | None:
+        """As `between`, but for the question whether a corner in doubt is faster than to stop."""
         if mode is PathMode.EXACT_STOP:
             return None
         if first.is_straight and second.is_straight:
@@ -112,9 +132,7 @@ class CornerMaker:
             corner = self._cubic(first, second, tolerance_mm, theta)
         if corner is None:
             return None
-        if theta > CHECKED_RAD and not self._is_faster(first, used, second, corner):
-            return None
-        return corner
+        return replace(corner, is_doubtful=True) if theta > CHECKED_RAD else corner
 
     def _rounded(self, first: Element, second: Element, tolerance_mm: float) -> Corner | None:
         if self._parabolic:
@@ -203,19 +221,13 @@ class CornerMaker:
             return values[:, :3]
         return self._arm.fk_batch(values)[0]
 
-    def _is_faster(self, first: Element, used: float, second: Element, corner: Corner) -> bool:
-        """Whether passing the corner beats stopping in it, from rest to rest over both neighbours."""
-        head = first.trimmed(used, first.length)
-        cut_head = first.length - corner.before - used
-        blended = [first.trimmed(used, first.length - corner.before)] if cut_head > 1e-9 else []
-        blended += [*corner.elements, second.trimmed(corner.after, second.length)]
-        try:
-            ratio = _ratio(self._glance, blended, head, second)
-            if not CLEARLY_FASTER <= ratio <= CLEARLY_SLOWER:
-                return ratio < 1.0
-            return _ratio(self._judge, blended, head, second) < 1.0
-        except PlanError:
-            return False
+    def are_faster(self, passages: Sequence[Passage]) -> list[bool]:
+        """Whether passing each corner beats stopping in it, from rest to rest over both neighbours."""
+        ratios = _ratios(self._glance, passages)
+        doubtful = [i for i, ratio in enumerate(ratios) if CLEARLY_FASTER <= ratio <= CLEARLY_SLOWER]
+        for i, ratio in zip(doubtful, _ratios(self._judge, [passages[i] for i in doubtful]), strict=True):
+            ratios[i] = ratio
+        return [ratio < 1.0 for ratio in ratios]
 
 
 def _arc_share(start_slope: Array, end_slope: Array) -> float:
@@ -240,15 +252,40 @@ def _deviation_mm(start_slope: Array, end_slope: Array, before: float, after: fl
     return 1.001 * (float(np.abs(off).max()) * sqrt(float(turn @ turn)) + float(lag))
 
 
-def _ratio(builder: GridBuilder, blended: list[Element], head: Element, second: Element) -> float:
-    """Time of passing over that of stopping, all on one grid: a numpy call costs as much for one way as for all."""
-    grid = builder.build(ElementTable([*blended, head, second]))
-    ends = np.searchsorted(grid.element, (len(blended), len(blended) + 1, len(blended) + 2)).tolist()
-    times = []
-    for first, last in zip([0, *ends[:-1]], ends, strict=True):
-        lines = sliced_lines(grid.lines, first, last)
-        times.append(law_duration(lines.length, fastest_speeds(lines)))
-    return times[0] / (times[1] + times[2])
+def _ratios(builder: GridBuilder, passages: Sequence[Passage]) -> list[float]:
+    """Time of passing over that of stopping, all on one grid; infinite where the arm cannot follow."""
+    if not passages:
+        return []
+    elements: list[Element] = []
+    firsts: list[int] = []
+    of_passage: list[int] = []
+    for number, passage in enumerate(passages):
+        for way in _ways(passage):
+            firsts.append(len(elements))
+            elements += way
+        of_passage += [number] * (len(elements) - len(of_passage))
+    try:
+        grid = builder.build(ElementTable(elements), np.array(of_passage, dtype=np.intp))
+    except PlanError:
+        if len(passages) == 1:
+            return [inf]
+        return [ratio for passage in passages for ratio in _ratios(builder, [passage])]
+    begins = np.searchsorted(grid.element, firsts)
+    times = np.add.reduceat(
+        law_durations(grid.lines.length, fastest_speeds(stopping_lines(grid.lines, begins))), begins
+    )
+    passing, head, tail = times.reshape(-1, 3).T
+    ratios: list[float] = (passing / (head + tail)).tolist()
+    return ratios
+
+
+def _ways(passage: Passage) -> tuple[list[Element], list[Element], list[Element]]:
+    """What is passed by way of the corner; up to the corner; from it on."""
+    first, used, second, corner = passage.first, passage.used, passage.second, passage.corner
+    last = first.length - corner.before
+    blended = [first.trimmed(used, last)] if last - used > 1e-9 else []
+    blended += [*corner.elements, second.trimmed(corner.after, second.length)]
+    return blended, [first.trimmed(used, first.length)], [second]
 
 
 def _bends_alike(first: Element, second: Element) -> bool:

@@ -32,6 +32,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
+_NONE = np.zeros(3)
+_NONE.setflags(write=False)
+
+
 class Space(Enum):
     """What an element's five values are."""
 
@@ -64,15 +68,15 @@ class Element:
     `coefficients`: (4, 5), of 1, s, s^2, s^3; `cosine`, `sine`: (3,), mm; `omega`: rad per unit of s; `growth`: 1 per
     unit of s. `feed_mm_s` limits |dp/dt| of the tool centre point, `rate` limits ds/dt. `branch` is the arm's
     way of reaching a task-space element. `merged_mm`: how far merging has moved it off the programmed lines.
-    `marks`: in order, never at its end.
+    `marks`: in order, never at its end. `is_line`: known to be straight unless there is a curve.
     """
 
     space: Space
     length: float
     coefficients: Array
     source: Source
-    cosine: Array = field(default_factory=lambda: np.zeros(3))
-    sine: Array = field(default_factory=lambda: np.zeros(3))
+    cosine: Array = field(default_factory=lambda: _NONE)
+    sine: Array = field(default_factory=lambda: _NONE)
     omega: float = 0.0
     growth: float = 0.0
     feed_mm_s: float = np.inf
@@ -83,6 +87,7 @@ class Element:
     branch: Branch = Branch.FRONT_UP
     merged_mm: float = 0.0
     marks: tuple[OutputMark, ...] = ()
+    is_line: bool = False
 
     def evaluate(self, s: Array) -> tuple[Array, Array, Array]:
         """Values, first and second derivatives at s (n,), each (n, 5)."""
@@ -90,6 +95,9 @@ class Element:
 
     def at(self, s: float) -> tuple[Array, Array]:
         """Value and first derivative at one s, each (5,)."""
+        if self.is_straight:
+            start, slope = self.coefficients[0], self.coefficients[1]
+            return start + s * slope, slope
         values, slopes, _ = self.evaluate(np.array([s]))
         return values[0], slopes[0]
 
@@ -102,6 +110,10 @@ class Element:
             marks = tuple(replace(mark, at=mark.at - first) for mark in marks if first <= mark.at < last)
         if self.curve is not None:
             return replace(self, length=last - first, curve_start=self.curve_start + first, marks=marks)
+        if self.is_straight:
+            coefficients = self.coefficients.copy()
+            coefficients[0] += first * coefficients[1]
+            return replace(self, length=last - first, coefficients=coefficients, marks=marks)
         a = first
         c0, c1, c2, c3 = self.coefficients
         shifted = np.stack((c0 + a * (c1 + a * (c2 + a * c3)), c1 + a * (2 * c2 + 3 * a * c3), c2 + 3 * a * c3, c3))
@@ -120,15 +132,20 @@ class Element:
     @property
     def is_straight(self) -> bool:
         """Whether it is a straight line in its space (a blend is never one)."""
-        return self.curve is None and self.omega == 0.0 and not self.coefficients[2:].any() and not self.is_blend
+        if self.curve is not None or self.is_line:
+            return self.curve is None
+        return self.omega == 0.0 and not self.is_blend and not self.coefficients[2:].any()
 
 
 class ElementTable:
-    """Many elements as arrays; `evaluate` takes any mixture of them at once."""
+    """Many elements as arrays; `evaluate` takes any mixture of them at once. `turns_roll`: whether the fifth of the
+    values may change in any of them.
+    """
 
     def __init__(self, elements: Sequence[Element]) -> None:
         self.elements = tuple(elements)
         self.coefficients = np.array([e.coefficients for e in elements]).reshape(-1, 4, 5)
+        self._bent = bool(self.coefficients[:, 2:].any())
         self.cosine = np.array([e.cosine for e in elements]).reshape(-1, 3)
         self.sine = np.array([e.sine for e in elements]).reshape(-1, 3)
         self.omega = np.array([e.omega for e in elements])
@@ -141,6 +158,7 @@ class ElementTable:
         self.is_straight = np.array([e.is_straight for e in elements], dtype=bool)
         self.is_blend = np.array([e.is_blend for e in elements], dtype=bool)
         self._round = bool(self.omega.any())
+        self.turns_roll = bool(self.coefficients[:, 1:, 4].any()) or any(e.curve is not None for e in elements)
         curves = [(i, e.curve) for i, e in enumerate(elements) if e.curve is not None]
         self._curves = [i for i, curve in curves if not isinstance(curve, QuinticCurve)]
         quintics = [(i, curve.coefficients) for i, curve in curves if isinstance(curve, QuinticCurve)]
@@ -158,9 +176,13 @@ class ElementTable:
         """Values, first and second derivatives of element `index` (n,) at its own s (n,), each (n, 5)."""
         c = self.coefficients[index]
         t = s[:, None]
-        values = c[:, 0] + t * (c[:, 1] + t * (c[:, 2] + t * c[:, 3]))
-        slopes = c[:, 1] + t * (2.0 * c[:, 2] + 3.0 * t * c[:, 3])
-        bends = 2.0 * c[:, 2] + 6.0 * t * c[:, 3]
+        if self._bent:
+            values = c[:, 0] + t * (c[:, 1] + t * (c[:, 2] + t * c[:, 3]))
+            slopes = c[:, 1] + t * (2.0 * c[:, 2] + 3.0 * t * c[:, 3])
+            bends = 2.0 * c[:, 2] + 6.0 * t * c[:, 3]
+        else:
+            slopes = c[:, 1].copy()
+            values, bends = c[:, 0] + t * slopes, np.zeros_like(slopes)
         if self._round:
             omega = self.omega[index]
             angle_cos = np.cos(omega * s)[:, None]
@@ -187,14 +209,25 @@ class ElementTable:
         return values, slopes, bends
 
 
-def line(space: Space, start: Array, end: Array, length: float, source: Source) -> Element:
+def line(
+    space: Space,
+    start: Array,
+    end: Array,
+    length: float,
+    source: Source,
+    *,
+    feed_mm_s: float = np.inf,
+    rate: float = np.inf,
+    branch: Branch = Branch.FRONT_UP,
+) -> Element:
     """The straight line from `start` to `end`, each (5,), mm and deg or deg, over `length` of the
     parameter (mm; deg where only angles move).
     """
     coefficients = np.zeros((4, 5))
     coefficients[0] = start
-    coefficients[1] = (end - start) / length
-    return Element(space, length, coefficients, source)
+    np.subtract(end, start, out=coefficients[1])
+    coefficients[1] /= length
+    return Element(space, length, coefficients, source, feed_mm_s=feed_mm_s, rate=rate, branch=branch, is_line=True)
 
 
 def arc(

@@ -121,6 +121,26 @@ class Limits:
             take_up_window_s=windows,
         )
 
+    def without_roll(self) -> tuple[Array, Array, Array]:
+        """Rows, velocities and accelerations that bind where the roll stands still: of rows that are then multiples of
+        each other the tightest limits, each. Both wrist motors turn with the pitch alone then.
+        """
+        rows = self.rows * np.array((1.0, 1.0, 1.0, 1.0, 0.0))
+        kept: list[tuple[Array, float, float]] = []
+        for row, velocity, acceleration in zip(rows, self.velocity, self.acceleration, strict=True):
+            size = float(row[np.argmax(np.abs(row))])
+            if size == 0.0:
+                continue
+            unit, own = row / size, (velocity / abs(size), acceleration / abs(size))
+            for number, (other, *limits) in enumerate(kept):
+                if np.abs(other - unit).max() < 1e-12:
+                    kept[number] = (other, min(limits[0], own[0]), min(limits[1], own[1]))
+                    break
+            else:
+                kept.append((unit, *own))
+        matrix, velocities, accelerations = zip(*kept, strict=True)
+        return np.array(matrix), np.array(velocities), np.array(accelerations)
+
     def on_the_flank(self, leads_deg: Sequence[float], joint: int, way: float) -> tuple[float, ...]:
         """How far the motors are ahead at each place of play (7,) once a joint alone has moved far enough in the
         direction `way` (1 or -1), if that was `leads_deg` before.

@@ -7,7 +7,7 @@ run along with it. A rapid (unless `[planner] linear_rapids`), M110 and M111 are
 from __future__ import annotations
 
 from dataclasses import replace
-from math import radians
+from math import hypot, inf, radians, sqrt
 
 import numpy as np
 
@@ -37,16 +37,61 @@ class PathBuilder:
     """Follows the moves and turns each into one element; knows where the path has got to.
 
     `q_deg` (5,): joints at the end of the path so far; `branch`: the arm's branch there; `task` (5,): x, y, z,
-    pitch, roll there; `rpy_deg`: the tool's roll, pitch, yaw there in the program frame (XYZABC).
+    pitch, roll there; `rpy_deg`: the tool's roll, pitch, yaw there in the program frame (XYZABC). `speed_scale`
+    multiplies the programmed feeds.
+
+    Each move raises PlanError where its end cannot be reached. Without `checks_ends` the ends of moves wait to be
+    checked, many at once: `refused_end`, `check_ends`, or where the joints are needed.
     """
 
-    def __init__(self, arm: Arm, start_deg: Array, *, linear_rapids: bool) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        start_deg: Array,
+        *,
+        linear_rapids: bool,
+        speed_scale: float = 1.0,
+        checks_ends: bool = True,
+    ) -> None:
         self.arm = arm
         self.linear_rapids = linear_rapids
-        self.q_deg = np.array(start_deg, dtype=np.float64)
-        self.branch: Branch = arm.branch_of(self.q_deg)
-        self.task = task_values(arm, self.q_deg)
-        self.rpy_deg = self._orientation()
+        self._speed_scale = speed_scale
+        self._checks_ends = checks_ends
+        self._q_deg: Array = np.array(start_deg, dtype=np.float64)
+        self._unchecked: list[tuple[Element, Array]] = []
+        self._refused: tuple[Element, PlanError] | None = None
+        self.stand_at(self._q_deg)
+
+    @property
+    def q_deg(self) -> Array:
+        """Joints (5,) at the end; raises PlanError where the end of a move could not be reached."""
+        self.check_ends()
+        return self._q_deg
+
+    def check_ends(self) -> None:
+        """Raise PlanError for the first move whose end cannot be reached, of those not checked yet."""
+        self._check_waiting()
+        if self._refused is not None:
+            raise self._refused[1]
+
+    def refused_end(self) -> tuple[Element, PlanError] | None:
+        """The first element whose end cannot be reached, and the error for it; told once."""
+        self._check_waiting()
+        refused, self._refused = self._refused, None
+        return refused
+
+    def _check_waiting(self) -> None:
+        waiting, self._unchecked = self._unchecked, []
+        if not waiting:
+            return
+        ends = np.array([end for _, end in waiting])
+        q_deg, ok = self.arm.ik_batch(ends[:, :3], ends[:, 3], ends[:, 4], self.branch, float(self._q_deg[0]))
+        good = len(ok) if ok.all() else int(np.argmin(ok))
+        if good:
+            self._q_deg = q_deg[good - 1]
+        if good < len(ok):
+            element, end = waiting[good]
+            self._refused = element, self._end_error(end, element)
 
     def use_tool(self, length_mm: float, offset_mm: tuple[float, float]) -> None:
         """From here on the tool centre point is another one; the joints stay."""
@@ -55,28 +100,28 @@ class PathBuilder:
 
     def stand_at(self, q_deg: Array) -> None:
         """The path goes on from these joints."""
-        self.q_deg = np.array(q_deg, dtype=np.float64)
-        self.branch = self.arm.branch_of(self.q_deg)
-        self.task = task_values(self.arm, self.q_deg)
+        self._q_deg = np.array(q_deg, dtype=np.float64)
+        self.branch: Branch = self.arm.branch_of(self._q_deg)
+        self.task = task_values(self.arm, self._q_deg)
         self.rpy_deg = self._orientation()
+        self._angles: tuple[float, float] | None = None
 
     def go_on(self, q_deg: Array, task: Array, rpy_deg: tuple[float, float, float] | None = None) -> None:
         """The path goes on from the end of moves that somebody else has followed on this branch: joints (5,), task
         values (5,) and, for XYZABC, the orientation that the program gave last.
         """
-        self.q_deg, self.task = q_deg, task
+        self._q_deg, self.task, self._angles = q_deg, task, None
         if rpy_deg is not None:
             self.rpy_deg = rpy_deg
 
     def _orientation(self) -> tuple[float, float, float]:
-        target = self.arm.program_from_joints(self.q_deg)
+        target = self.arm.program_from_joints(self._q_deg)
         return (target[3], target[4], target[5])
 
     def rapid(self, move: RapidMove) -> Element | None:
         """G0; None when it does not move."""
         if self.linear_rapids:
-            element = self._line(move.target, move.source)
-            return element
+            return self._line(move.target, move.source, None)
         result = self._solve(move.target, move.source)
         assert result.best is not None
         return self._joint_line(np.array(result.best.q_deg), move.source)
@@ -99,8 +144,7 @@ class PathBuilder:
 
     def linear(self, move: LinearMove) -> Element | None:
         """G1; None when it does not move."""
-        element = self._line(move.target, move.source)
-        return None if element is None else with_feed(element, move.feed)
+        return self._line(move.target, move.source, move.feed)
 
     def arc(self, move: ArcMove) -> Element | None:
         """G2, G3; None when it does not move."""
@@ -111,7 +155,7 @@ class PathBuilder:
         if abs(move.angle_deg) < SHORTEST:
             return None
         element = arc(self.task, end, centre, axis, radians(move.angle_deg), move.source)
-        return with_feed(self._onto(element, end, move.target), move.feed)
+        return self._with_feed(self._onto(element, end, move.target), move.feed)
 
     def spline(self, move: SplineMove) -> Element | None:
         """G5, G5.1, G5.2 as one element, corners inside or not; None when it does not move."""
@@ -131,8 +175,9 @@ class PathBuilder:
         element = Element(Space.TASK, curve.length_mm, np.zeros((4, 5)), move.source, curve=curve)
         element = self._onto(element, end, move.target)
         if move.feed.mode is FeedMode.INVERSE_TIME:
-            return replace(with_feed(element, move.feed), rate=whole_mm * move.feed.value / 60.0)
-        return with_feed(element, move.feed)
+            scaled = move.feed.value / 60.0 * self._speed_scale
+            return replace(self._with_feed(element, move.feed), rate=whole_mm * scaled)
+        return self._with_feed(element, move.feed)
 
     def _spline_curve(self, move: SplineMove) -> SplineCurve | None:
         if len(move.control_points_mm) < 2:
@@ -152,18 +197,21 @@ class PathBuilder:
             raise PlanError(f"the curve starts {apart:.4g} mm away from where the tool is", source=move.source)
         return curve
 
-    def _line(self, target: Target, source: Source) -> Element | None:
+    def _line(self, target: Target, source: Source, feed: Feed | None) -> Element | None:
         end = self._task_of(target, source)
-        length = float(np.linalg.norm(end[:3] - self.task[:3]))
-        turn = float(np.linalg.norm(end[3:] - self.task[3:]))
+        dx, dy, dz, pitch, roll = (end - self.task).tolist()
+        length, turn = sqrt(dx * dx + dy * dy + dz * dz), hypot(pitch, roll)
         if length < SHORTEST:
             end[:3] = self.task[:3]
             if turn < SHORTEST:
                 return None
+        is_travel = max(abs(dx), abs(dy), abs(dz)) > SHORTEST
         # next to no way for a large turn: deg are the better measure of how far it has come, F stays mm/min
         if turn > MOST_TURN_DEG_MM * length:
             length = turn
-        return self._onto(line(Space.TASK, self.task, end, length, source), end, target)
+        feed_mm_s, rate = self._limits(feed, source, length, is_travel=is_travel)
+        element = line(Space.TASK, self.task, end, length, source, feed_mm_s=feed_mm_s, rate=rate, branch=self.branch)
+        return self._onto(element, end, target)
 
     def _onto(self, element: Element, end: Array, target: Target) -> Element:
         """The element on the current branch, with the orientation on the way; the path now ends at `end`."""
@@ -174,28 +222,32 @@ class PathBuilder:
             element = replace(element, curve=curve, omega=0.0)
             end = np.array([*end[:3], *curve.end_angles_deg])
             self.rpy_deg = rpy
-        q_deg, ok = self.arm.ik_batch(end[None, :3], end[3:4], end[4:5], self.branch, float(self.q_deg[0]))
-        if not ok[0]:
-            self._refuse_end(end, element)
-        element = replace(element, branch=self.branch)
-        self.q_deg = q_deg[0]
+        if element.branch is not self.branch:
+            element = replace(element, branch=self.branch)
+        if self._checks_ends:
+            q_deg, ok = self.arm.ik_batch(end[None, :3], end[3:4], end[4:5], self.branch, float(self._q_deg[0]))
+            if not ok[0]:
+                raise self._end_error(end, element)
+            self._q_deg = q_deg[0]
+        else:
+            self._unchecked.append((element, end))
         self.task = end
         return element
 
-    def _refuse_end(self, end: Array, element: Element) -> None:
-        result = self.arm.ik(end[:3], float(end[3]), float(end[4]), self.q_deg)
+    def _end_error(self, end: Array, element: Element) -> PlanError:
+        result = self.arm.ik(end[:3], float(end[3]), float(end[4]), self._q_deg)
         where = f"X{end[0]:.3f} Y{end[1]:.3f} Z{end[2]:.3f} (base frame), pitch {end[3]:.2f} deg"
         amount = result.shortfalls[0].amount if result.shortfalls else None
-        common = {"source": element.source, "place_mm": element.length, "q_deg": tuple(self.q_deg.tolist())}
+        common = {"source": element.source, "place_mm": element.length, "q_deg": tuple(self._q_deg.tolist())}
         if result.best is not None:
-            raise UnreachableError(
+            return UnreachableError(
                 f"{where} can only be reached {_way(result.best.branch, self.branch)}: on another branch of the arm "
                 "than the one it starts on, and a move of the tool keeps its branch",
                 remedy="go there with a joint move (G0), which may change it",
                 **common,  # type: ignore[arg-type]  # keyword arguments of PlanError, gathered
             )
         kind = JointLimitError if result.solutions else UnreachableError
-        raise kind(
+        return kind(
             f"{where} cannot be reached: {result.reason}",
             amount=amount,
             remedy=self._remedy(result),
@@ -236,11 +288,41 @@ class PathBuilder:
 
     def _task_of(self, target: Target, source: Source) -> Array:
         """x, y, z, pitch, roll (5,) in the base frame of a target in the program frame."""
+        a, b = target[3], target[4]
+        if self._angles == (a, b):
+            # literal pitch and roll that stay: so does the turn in which they are taken
+            end = np.empty(5)
+            end[:3] = self.arm.frame.base_from_program(np.array(target[:3]))
+            end[3:] = self.task[3:]
+            return end
         try:
             pose = self.arm.pose_from_program(target, self.q_deg)
         except KinematicsOrientationError as error:
             raise OrientationError(str(error), source=source, amount=error.residual_deg) from error
+        if not self.arm.frame.has_rpy:
+            self._angles = a, b
         return np.array([*pose.xyz_mm, pose.pitch_deg, pose.roll_deg])
+
+    def _with_feed(self, element: Element, feed: Feed) -> Element:
+        moves_tool = isinstance(element.curve, SplineCurve) or element.cosine.any()
+        is_travel = moves_tool or np.abs(element.coefficients[1:, :3]).max() * element.length > SHORTEST
+        feed_mm_s, rate = self._limits(feed, element.source, element.length, is_travel=bool(is_travel))
+        return replace(element, feed_mm_s=feed_mm_s, rate=rate)
+
+    def _limits(self, feed: Feed | None, source: Source, length: float, *, is_travel: bool) -> tuple[float, float]:
+        """What a programmed feed (RS274 G93, G94) limits |dp/dt| and ds/dt to; nothing without one.
+
+        mm/min along x, y, z; deg/min along A, B where x, y, z do not move; in inverse time the whole move takes
+        1/F min. Raises PlanError for a feed of 0.
+        """
+        if feed is None:
+            return inf, inf
+        if not feed.value > 0.0:
+            raise PlanError("a feed move without a feed", source=source, remedy="set F above 0")
+        value = feed.value / 60.0 * self._speed_scale
+        if feed.mode is FeedMode.INVERSE_TIME:
+            return inf, length * value
+        return (value, inf) if is_travel else (inf, value)
 
 
 def _way(wanted: Branch, current: Branch) -> str:
@@ -256,24 +338,3 @@ def joint_line(start_deg: Array, target_deg: Array, source: Source) -> Element |
     if length < SHORTEST:
         return None
     return line(Space.JOINT, start_deg, target_deg, length, source)
-
-
-def with_feed(element: Element, feed: Feed) -> Element:
-    """The element under its programmed feed (RS274 G93, G94).
-
-    mm/min along x, y, z; deg/min along A, B where x, y, z do not move; in inverse time the whole move takes 1/F min.
-    Raises PlanError without a feed.
-    """
-    if not feed.value > 0.0:
-        raise PlanError("a feed move without a feed", source=element.source, remedy="set F above 0")
-    if feed.mode is FeedMode.INVERSE_TIME:
-        return replace(element, rate=element.length * feed.value / 60.0)
-    if element.space is Space.TASK and not _moves_tool(element):
-        return replace(element, rate=feed.value / 60.0)
-    return replace(element, feed_mm_s=feed.value / 60.0)
-
-
-def _moves_tool(element: Element) -> bool:
-    if isinstance(element.curve, SplineCurve) or element.cosine.any():
-        return True
-    return bool(np.abs(element.coefficients[1:, :3]).max() * element.length > SHORTEST)

@@ -1,12 +1,15 @@
 """The planner: moves in, pieces of the ideal law out, with a bounded look-ahead.
 
-moves -> elements (path) -> joined or blended or stopped at (joints of the path) -> window -> pieces
+moves -> elements (path) -> runs, blended and stopped at (joining) -> window -> pieces
+
+Elements are collected before they are joined: a numpy call costs as much for one as for a hundred. They are planned
+when there are `CHUNK_ELEMENTS` of them, when they take `AHEAD_S` and may stop in between, and wherever the arm has to
+come to rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -31,13 +34,13 @@ from rm501_host.moves import (
     ToolChange,
 )
 
-from .bends import TouchingBlend, joined
-from .corners import Corner, CornerMaker
+from .corners import CornerMaker
 from .elements import Array, Element
 from .errors import PlanError
-from .grid import GridBuilder
+from .grid import Grid, GridBuilder
 from .jerk import JerkLaw
 from .jerk_window import JerkStretch, JerkWindow
+from .joining import Arrival, Joiner, Run
 from .law import PathLaw
 from .limits import Limits
 from .merging import LineMerger
@@ -47,8 +50,12 @@ from .pieces import Action, EventKind, Piece, PieceEvent, PieceKind
 from .smoothing import LineSmoother
 from .window import Stretch, Window
 
-CHUNK_ELEMENTS = 256
-"""Elements that enter the window at once: enough to spread numpy's cost per call."""
+CHUNK_ELEMENTS = 128
+"""Elements that are joined and enter the window at once: enough to spread numpy's cost per call."""
+AHEAD_S = 2.0
+"""Nominal time of elements from which on those that may stop at their corners do not wait for more."""
+_NOMINAL_SPEED = 60.0
+"""mm/s or deg/s where a move has no feed."""
 
 
 class Planner:
@@ -63,8 +70,13 @@ class Planner:
         self._config = config
         self._limits = Limits.from_config(config)
         self._frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
-        self._path = PathBuilder(arm, np.array(start_deg, dtype=np.float64), linear_rapids=config.planner.linear_rapids)
-        self._speed_scale = speed_scale
+        self._path = PathBuilder(
+            arm,
+            np.array(start_deg, dtype=np.float64),
+            linear_rapids=config.planner.linear_rapids,
+            speed_scale=speed_scale,
+            checks_ends=False,
+        )
         self._jerk_limited = config.planner.jerk_limited
         self._mode = PathMode.EXACT_PATH
         self._tolerance_mm = 0.0
@@ -73,10 +85,11 @@ class Planner:
         self._chain_s = 0.0
         self._merger = LineMerger()
         self._smoother = LineSmoother()
-        self._pending: Element | None = None
-        self._used = 0.0
+        self._merged_mm = 0.0
+        self._waiting_s = 0.0
+        self._is_broken = False
+        self._is_last_run = True
         self._ready: list[Element] = []
-        self._touching: TouchingBlend | None = None
         self._outputs: list[OutputChange] = []
         self._set_arm()
 
@@ -92,31 +105,39 @@ class Planner:
 
     def plan(self, moves: Iterable[Move | Action]) -> Iterator[Piece]:
         """Yield the pieces of the law; raises PlanError at the move that cannot be planned, after all before it."""
-        for move in moves:
-            yield from self._take(move)
-        yield from self._stop()
-        yield from self._settle_outputs()
+        try:
+            for move in moves:
+                yield from self._take(move)
+            yield from self._stop()
+            yield from self._settle_outputs()
+        except Exception:
+            # the error may come from reading a move while those before it wait to be planned
+            if not self._is_broken:
+                yield from self._advance()
+            raise
 
     def come_to_rest(self) -> Iterator[Piece]:
         """After `plan` has raised PlanError: the path up to the last element that can be planned, to rest there."""
-        self._settle_blend()
-        ready, self._ready = self._ready, []
-        self._pending = None
-        for element in ready:
+        behind = self._joiner.left_over() if self._is_last_run else []
+        for element in [*self._ready, *behind]:
             try:
                 self._window.extend([element])
             except PlanError:
                 break
+        self._ready = []
         while (stretch := self._window.finish()) is not None:
             yield self._piece(stretch)
 
     def _set_arm(self) -> None:
-        builder = GridBuilder(self._path.arm, self._limits)
-        self._corners = CornerMaker(
-            self._path.arm,
-            self._limits,
-            parabolic=self._config.planner.blend == "parabolic",
-            jerk_limited=self._jerk_limited,
+        builder = self._builder = GridBuilder(self._path.arm, self._limits)
+        self._joiner = Joiner(
+            CornerMaker(
+                self._path.arm,
+                self._limits,
+                parabolic=self._config.planner.blend == "parabolic",
+                jerk_limited=self._jerk_limited,
+            ),
+            touching=self._jerk_limited,
         )
         self._window: Window | JerkWindow = (
             JerkWindow(self._path.arm, builder, self._limits, self._frame_s)
@@ -210,20 +231,15 @@ class Planner:
         if changes:
             yield from self._switch(changes)
 
-    def _marked(self, element: Element, at: float) -> Element:
-        """The element with the output changes that wait for the next motion, if any, at s = `at`."""
-        changes, self._outputs = self._outputs, []
-        return replace(element, marks=(combined(changes, at),)) if changes else element
-
     def _whole_frames(self, seconds: float) -> float:
         return ceil(seconds / self._frame_s - 1e-6) * self._frame_s
 
     def _add(self, element: Element | None) -> Iterator[Piece]:
         if element is None:
             return
-        if self._speed_scale != 1.0:
-            scale = self._speed_scale
-            element = replace(element, feed_mm_s=element.feed_mm_s * scale, rate=element.rate * scale)
+        if self._merger.tolerance_mm > 0.0 or self._smoother.tolerance_mm > 0.0:
+            # the element that comes out of these is another one
+            self._path.check_ends()
         for merged in self._merger.add(element):
             for finished in self._smoother.add(merged):
                 yield from self._join(finished)
@@ -237,74 +253,54 @@ class Planner:
             yield from self._join(finished)
 
     def _join(self, element: Element) -> Iterator[Piece]:
-        pending = self._pending
         before, self._pending_mode = self._pending_mode, (self._mode, self._tolerance_mm)
-        if pending is None:
-            self._pending, self._used = self._marked(element, 0.0), 0.0
-            return
-        # merging and blending share the tolerance: together they stay within it
         mode, tolerance_mm = _corner_mode(before, self._pending_mode)
-        tolerance_mm -= max(pending.merged_mm, element.merged_mm)
-        corner = self._corners.between(pending, self._used, element, mode, tolerance_mm)
-        if corner is None:
-            yield from self._rest()
-            self._pending, self._used = self._marked(element, 0.0), 0.0
-            return
-        if corner.elements:
-            blend = corner.elements[0]
-            share = corner.before / (corner.before + corner.after) if self._jerk_limited else 0.5
-            at = share * blend.length
-            corner = replace(corner, elements=(self._marked(blend, at), *corner.elements[1:]))
-        else:
-            element = self._marked(element, 0.0)
-        self._pass_corner(pending, element, corner)
-        if len(self._ready) >= CHUNK_ELEMENTS:
+        # merging and blending share the tolerance: together they stay within it
+        tolerance_mm -= max(self._merged_mm, element.merged_mm)
+        self._merged_mm = element.merged_mm
+        outputs, self._outputs = tuple(self._outputs), []
+        self._joiner.add(Arrival(element, mode, tolerance_mm, outputs))
+        self._waiting_s += element.length / min(element.feed_mm_s, element.rate, _NOMINAL_SPEED)
+        may_stop = mode is not PathMode.BLEND
+        if len(self._joiner) >= CHUNK_ELEMENTS or (may_stop and self._waiting_s >= AHEAD_S):
             yield from self._advance()
-
-    def _pass_corner(self, pending: Element, element: Element, corner: Corner) -> None:
-        last = pending.length - corner.before
-        is_straight_before = last - self._used > 1e-9
-        blend = TouchingBlend.of(corner.elements, corner.spare_mm) if self._jerk_limited else None
-        if self._touching is not None and blend is not None and not is_straight_before:
-            finished, blend = joined(self._touching, blend)
-            self._ready.append(finished)
-            self._touching = None
-        self._settle_blend()
-        if is_straight_before:
-            self._ready.append(pending.trimmed(self._used, last))
-        if blend is None:
-            self._ready.extend(corner.elements)
-        self._touching = blend
-        self._pending, self._used = element, corner.after
-
-    def _settle_blend(self) -> None:
-        """The blend before the pending element is not touched by another one."""
-        if self._touching is not None:
-            self._ready.append(self._touching.finished())
-            self._touching = None
-
-    def _advance(self) -> Iterator[Piece]:
-        """Hand what is ready to the window and yield what is settled."""
-        self._window.extend(self._ready)
-        self._ready = []
-        while (stretch := self._window.commit()) is not None:
-            yield self._piece(stretch)
 
     def _stop(self) -> Iterator[Piece]:
         """Come to rest at the end of the path so far."""
         yield from self._join_held()
-        yield from self._rest()
+        yield from self._advance(to_rest=True)
 
-    def _rest(self) -> Iterator[Piece]:
-        pending, self._pending = self._pending, None
-        if pending is None:
-            return
-        self._settle_blend()
-        self._ready.append(pending.trimmed(self._used, pending.length))
-        self._window.extend(self._ready)
-        self._ready = []
-        while (stretch := self._window.finish()) is not None:
-            yield self._piece(stretch)
+    def _advance(self, *, to_rest: bool = False) -> Iterator[Piece]:
+        """Join what waits, hand it to the window and yield what is settled; raises PlanError, after all before it."""
+        self._waiting_s = 0.0
+        self._is_broken = True
+        refused = self._path.refused_end()
+        if refused is not None:
+            self._joiner.drop_from(refused[0])
+        runs = self._joiner.join(to_rest=to_rest and refused is None)
+        for run, grid in zip(runs, self._grids(runs), strict=True):
+            self._ready = run.elements
+            self._is_last_run = run is runs[-1]
+            if isinstance(self._window, Window):
+                self._window.extend(run.elements, grid)
+            else:
+                self._window.extend(run.elements)
+            self._ready = []
+            settled = self._window.finish if run.ends_at_rest else self._window.commit
+            while (stretch := settled()) is not None:
+                yield self._piece(stretch)
+        if refused is not None:
+            raise refused[1]
+        self._is_broken = False
+
+    def _grids(self, runs: Sequence[Run]) -> Sequence[Grid | None]:
+        """The grids of all runs from one call; None for each where one has to raise its error by itself."""
+        if self._jerk_limited or sum(1 for run in runs if run.elements) < 2:
+            return [None] * len(runs)
+        try:
+            return self._builder.build_each([run.elements for run in runs])
+        except PlanError:
+            return [None] * len(runs)
 
     def _piece(self, stretch: Stretch | JerkStretch) -> Piece:
         law: PathLaw | JerkLaw = stretch.law

@@ -103,12 +103,14 @@ class Window:
         """Begin with elements whose grid is known."""
         self._elements, self._grid = list(elements), grid
 
-    def extend(self, elements: list[Element]) -> None:
-        """Add elements that join the last one smoothly; raises PlanError where they leave what the arm can do."""
+    def extend(self, elements: list[Element], grid: Grid | None = None) -> None:
+        """Add elements that join the last one smoothly, with their grid if it is known; raises PlanError where they
+        leave what the arm can do.
+        """
         if not elements:
             return
-        table = ElementTable(elements)
-        grid = self._builder.build(table)
+        if grid is None:
+            grid = self._builder.build(ElementTable(elements))
         if self._grid is None:
             self._grid, self._elements = grid, list(elements)
             return
@@ -138,15 +140,14 @@ class Window:
                 grid = self._grid = replace(grid, lines=softer)
                 lines = softer
         careful = backward_pass(lines, 0.0)
-        hopeful = backward_pass(lines, float(lines.y_cap[-1]))
-        fixed = np.flatnonzero(hopeful - careful > 1e-12 * (hopeful + 1e-30))
-        settled = int(fixed[0]) - 1 if len(fixed) else count
+        hopeful = backward_pass(lines, float(lines.y_cap[-1]), known=careful)
         speeds = forward_pass(lines, self._first_x, careful)
-        if settled < count:
+        settled, first = count, _first_apart(careful, hopeful)
+        if first is not None:
             # the law itself may not touch the bound that is still open: compare the laws, not only the bounds
-            other = forward_pass(lines, self._first_x, hopeful)
-            apart = np.flatnonzero(np.abs(other - speeds) > 1e-12 * (other + 1e-30))
-            settled = int(apart[0]) - 1 if len(apart) else count - 1
+            at = max(0, first - 1)
+            apart = _first_apart(speeds[at:], forward_pass(lines, float(speeds[at]), hopeful[at:], at))
+            settled = count - 1 if apart is None else at + apart - 1
         if settled < min(64, count - 1) or settled <= 0:
             if count < self._most:
                 return None
@@ -208,6 +209,12 @@ class Window:
         low = int(first[0])
         self._elements = self._elements[low:]
         self._grid = Grid(first - low, grid.start[count:], grid.stop[count:], sliced_lines(grid.lines, count))
+
+
+def _first_apart(one: Array, other: Array) -> int | None:
+    """Where two rows of squared speeds part; None where they are one."""
+    apart = np.flatnonzero(np.abs(one - other) > 1e-12 * (one + 1e-30))
+    return int(apart[0]) if len(apart) else None
 
 
 def _softened(lines: IntervalLines, speeds: Array, frame_s: float, *, head: bool, tail: bool) -> IntervalLines | None:

@@ -65,17 +65,17 @@ def random_lines(
 ) -> tuple[IntervalTable, IntervalLines]:
     """Strips with random coefficients; `regular`: without zero-inertia points (a keeps its sign and outweighs b)."""
     rng = np.random.default_rng(seed)
-    shape = (count, rows)
+    shape = (rows, count)
     length = rng.uniform(0.05, 0.3, count)
     # neighbours share their common point, as the grid's intervals do
-    a = rng.normal(size=(count + 1, rows))
-    b = rng.normal(size=(count + 1, rows))
+    a = rng.normal(size=(rows, count + 1))
+    b = rng.normal(size=(rows, count + 1))
     if regular:
-        a = rng.uniform(0.8, 1.5, size=(count + 1, rows)) * rng.choice([-1.0, 1.0], size=rows)
-        b = rng.uniform(-1.0, 1.0, size=(count + 1, rows))
+        a = rng.uniform(0.8, 1.5, size=(rows, count + 1)) * rng.choice([-1.0, 1.0], size=(rows, 1))
+        b = rng.uniform(-1.0, 1.0, size=(rows, count + 1))
     limit = rng.uniform(0.5, 2.0, shape)
     cap = rng.uniform(0.3, 4.0, count + 1)
-    table = strips(length, a[:-1], b[:-1], a[1:], b[1:], limit, cap[:-1], cap[1:])
+    table = strips(length, a[:, :-1], b[:, :-1], a[:, 1:], b[:, 1:], limit, cap[:-1], cap[1:])
     return table, solve_lines(table)
 
 
@@ -86,11 +86,11 @@ def test_the_backward_pass_is_the_linear_program(seed: int) -> None:
     reach = backward_pass(lines, 0.0)
     expected = 0.0
     for k in range(len(table.length) - 1, -1, -1):
-        rows = np.stack((table.p[k], table.q[k]), axis=1)
+        rows = np.stack((table.p[:, k], table.q[:, k]), axis=1)
         solved = linprog(
             c=(-1.0, 0.0),
             A_ub=np.concatenate((rows, -rows)),
-            b_ub=np.concatenate((table.c[k], table.c[k])),
+            b_ub=np.concatenate((table.c[:, k], table.c[:, k])),
             bounds=[(0, table.x_cap[k]), (0, min(table.y_cap[k], expected))],
         )
         assert solved.status == 0
@@ -108,11 +108,11 @@ def test_no_law_of_the_grid_is_faster(seed: int) -> None:
     n = len(table.length)
     left, right = [], []
     for k in range(n):
-        for row in range(table.p.shape[1]):
+        for row in range(len(table.p)):
             line = np.zeros(n + 1)
-            line[k], line[k + 1] = table.p[k, row], table.q[k, row]
+            line[k], line[k + 1] = table.p[row, k], table.q[row, k]
             left += [line, -line]
-            right += [table.c[k, row]] * 2
+            right += [table.c[row, k]] * 2
     caps = np.minimum(np.append(table.x_cap, np.inf), np.append(np.inf, table.y_cap))
     caps[0] = caps[-1] = 0.0
     solved = linprog(c=-np.ones(n + 1), A_ub=np.array(left), b_ub=right, bounds=[(0, cap) for cap in caps])
@@ -125,7 +125,7 @@ def test_no_law_of_the_grid_is_faster(seed: int) -> None:
 def test_a_double_integrator_is_bang_bang() -> None:
     count = 400
     length = np.full(count, 10.0 / count)
-    one, none = np.ones((count, 1)), np.zeros((count, 1))
+    one, none = np.ones((1, count)), np.zeros((1, count))
     cap = np.full(count, 1e6)
     speeds = fastest_speeds(solve_lines(strips(length, one, none, one, none, 4.0 * one, cap, cap)))
     assert law_duration(length, speeds) == pytest.approx(2.0 * np.sqrt(10.0 / 4.0), rel=1e-9)

@@ -16,6 +16,7 @@ from rm501_host.gcode.program_log import ProgramLog
 from rm501_host.kinematics import Arm
 from rm501_host.moves import Feed, InputWait, LinearMove, Move, ProgramEnd, RapidMove
 from rm501_host.planner import PieceKind, PlanError
+from rm501_host.planner.grid import Grid
 from rm501_host.planner.window import Window
 from rm501_host.preflight import ProgramCheck, ProgramFault, RollingCheck
 from rm501_host.program import read_moves
@@ -202,10 +203,10 @@ def test_a_plan_that_fails_on_the_way_ends_at_rest(tmp_path: Path, monkeypatch: 
     program.write_text("\n".join([*lines, "M2", ""]))
     extend = Window.extend
 
-    def failing(self: Window, elements: list) -> None:  # type: ignore[type-arg]
+    def failing(self: Window, elements: list, grid: Grid | None = None) -> None:  # type: ignore[type-arg]
         if any(element.source.line > 1100 for element in elements):
             raise PlanError("made up", source=at(1101))
-        extend(self, elements)
+        extend(self, elements, grid)
 
     monkeypatch.setattr(Window, "extend", failing)
     planned = check_and_plan(program, ARM, CONFIG, CONFIG.home_deg)
