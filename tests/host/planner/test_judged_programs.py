@@ -6,12 +6,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
-from rm501_host.config import load_config
+from rm501_host.config import Config, load_config
 from rm501_host.gcode import GcodeError
 from rm501_host.kinematics import Arm
 from tests.support.dh_oracle import dh_chain
@@ -24,20 +25,30 @@ from tests.support.random_programs import Joints, RandomProgram
 ROOT = Path(__file__).parents[3]
 SHARED = ROOT.parent / "shared" / "gcode" / "programs"
 CONFIG = load_config()
+SOFT = msgspec.structs.replace(CONFIG, planner=msgspec.structs.replace(CONFIG.planner, jerk_limited=True))
 HOME_DEG: Joints = Arm.from_config(CONFIG).home_deg
 READY_DEG: Joints = (0.0, 45.0, -60.0, 45.0, 0.0)
 EXAMPLES = int(os.environ.get("RM501_PLANNER_EXAMPLES", "2000"))
+SOFT_EVERY = 32
+"""One random program in so many has its jerk limited."""
 PARTS = 4
 """The random programs run in parts, so that several cores share them."""
 NO_DEADLINE = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
-def agreed(program: Path, start_deg: Joints, *, segments: bool = True, most_places: int = 400) -> Judgement:
+def agreed(
+    program: Path,
+    start_deg: Joints,
+    *,
+    segments: bool = True,
+    most_places: int = 400,
+    config: Config = CONFIG,
+) -> Judgement:
     """Judge; nothing may be wrong, and the preflight agrees with the planner about what can be done."""
-    found = judge_program(CONFIG, program, start_deg, segments=segments, most_places=most_places)
+    found = judge_program(config, program, start_deg, segments=segments, most_places=most_places)
     assert found.wrongs == []
     try:
-        report = preflight(CONFIG, program, start_deg)
+        report = preflight(config, program, start_deg)
     except GcodeError:
         # after a refused move it stands somewhere else, where an incremental arc may be none
         assert found.refused is not None
@@ -106,7 +117,15 @@ def test_random_programs(tmp_path_factory: pytest.TempPathFactory, part: int, nu
     program = tmp_path_factory.getbasetemp() / f"random{part}.ngc"
     program.write_text(random.text)
     try:
-        found = agreed(program, random.start_deg, segments=number % 16 == 0, most_places=30)
+        config = SOFT if number % SOFT_EVERY == 1 else CONFIG
+        with_segments = number % 16 == 0 or number % (4 * SOFT_EVERY) == 1
+        found = agreed(
+            program,
+            random.start_deg,
+            segments=with_segments,
+            most_places=30,
+            config=config,
+        )
     except GcodeError:
         event("not a program")
         return

@@ -17,7 +17,7 @@ from rm501_host.planner import Piece, PieceKind, Plan, Planner
 from rm501_host.planner.jerk import JerkLaw
 from rm501_host.planner.law import PathLaw
 from rm501_host.planner.pieces import EventKind, PieceEvent
-from rm501_host.planner.respeed import Lead, Place, Respeed, Respeeded, moved, place_at, plan_time
+from rm501_host.planner.respeed import Lead, Place, Respeed, Respeeded, lead_of, moved, place_at, plan_time
 from rm501_host.planner.ways import elements_between, length_of, sliced, time_at, way_at
 from rm501_host.segmenter import PlannedSegment, Segmenter
 from rm501_host.segmenter.fit import to_q48
@@ -200,6 +200,63 @@ def test_an_averaged_chain_is_scaled_in_windows_from_any_place(monkeypatch: pyte
         assert (jerks / [joint.max_jerk_deg_s3 for joint in CONFIG.joints.ordered]).max() <= 1.0 + 1e-3
         if scale > 1.0:
             assert pieces[-1].end_s < source.pieces[-1].end_s - 0.5
+
+
+SOFT = msgspec.structs.replace(CONFIG, planner=msgspec.structs.replace(CONFIG.planner, jerk_limited=True))
+JERK = np.array([joint.max_jerk_deg_s3 for joint in CONFIG.joints.ordered])
+AVERAGED = {
+    "wave": ([mode(0.5), *lines([(300 + 0.4 * i, 8.0 * sin(0.05 * i), 150.0) for i in range(100)], 240.0)], None),
+    "polyline": ([mode(2.0), *lines([(x, y, 100) for x, y in POLYLINE_MM], 1500.0)], POLYLINE_START_DEG),
+    "stopping": ([mode(None), *lines([(x, y, 100) for x, y in POLYLINE_MM], 1500.0)], POLYLINE_START_DEG),
+}
+
+
+@pytest.mark.parametrize("name", AVERAGED)
+def test_an_average_is_left_in_motion_twice_within_its_jerk(name: str) -> None:
+    moves, start_deg = AVERAGED[name]
+    if start_deg is None:
+        best = ARM.ik((300.0, 0.0, 150.0), 0.0, 0.0).best
+        assert best is not None
+        start_deg = best.q_deg
+    source = planned(moves, start_deg, SOFT)
+    rng = random.Random(501)
+    played = [Respeeded(piece, Place(k), 1.0) for k, piece in enumerate(source.pieces)]
+    is_faster = False
+    for scale in (1.3, 2.0):
+        until_s = sum(item.piece.duration_s for item in played)
+        at_s = rng.uniform(0.05, 0.7) * until_s
+        first = 0
+        while at_s >= played[first].piece.duration_s:
+            at_s -= played[first].piece.duration_s
+            first += 1
+        left = played[first]
+        at_s = min(at_s, left.piece.motion_s - 1e-3)
+        place = place_at(source, left, at_s)
+        lead = lead_of(played[first:], at_s)
+        made = list(Respeed(SOFT, source, lambda scale=scale: scale).pieces(place, lead))
+        check_continued(source, [item.piece for item in played[: first + 1]], at_s, [item.piece for item in made])
+        before_s = sum(item.piece.duration_s for item in played[first:]) - at_s
+        after_s = sum(item.piece.duration_s for item in made)
+        assert after_s <= before_s + 1e-3
+        is_faster |= scale in [item.scale for item in made] and after_s < 0.97 * before_s
+        played = made
+    assert is_faster
+
+
+def check_continued(source: Row, before: list[Piece], at_s: float, after: list[Piece]) -> None:
+    """The last piece of `before` up to a time and then the others: the path's end, every limit, and the jerk."""
+    parts = [(piece, piece.duration_s) for piece in before[:-1]] + [(before[-1], at_s)]
+    parts += [(piece, piece.duration_s) for piece in after]
+    ends = np.cumsum([duration_s for _, duration_s in parts])
+    times = np.arange(0.0, float(ends[-1]), 1e-3)
+    which = np.searchsorted(ends, times, side="right")
+    q_deg = np.zeros((len(times), 5))
+    for k in np.unique(which).tolist():
+        rows = which == k
+        q_deg[rows] = parts[k][0].q_deg(times[rows] - ends[k] + parts[k][1])
+    assert judge_samples(CONFIG, times, q_deg).worst <= 1.0 + 1e-6
+    assert (np.abs(np.diff(q_deg, 3, axis=0)) / 1e-9 / JERK).max() <= 1.0 + 1e-5
+    np.testing.assert_allclose(after[-1].rest_deg, source.pieces[-1].rest_deg, atol=1e-6)
 
 
 def as_jerk(piece: Piece) -> JerkLaw:
