@@ -44,11 +44,6 @@ class Hand:
         return self.object_mm > 0.0 and self._squeeze_pulses > 0
 
     @property
-    def force_ratio(self) -> float:
-        """Grip force as a share of the drive's full force, 0 to 1."""
-        return min(1.0, self._squeeze_pulses / self.parameters.grip_pulses_full_force)
-
-    @property
     def payload_kg(self) -> float:
         """Mass the arm carries now."""
         return self.object_mass_kg if self.gripping else 0.0

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from math import cos, degrees, hypot, radians, sin, sqrt
+from math import cos, hypot, radians, sin, sqrt
 
 import numpy as np
 
@@ -152,17 +152,6 @@ def ellipsoid(geometry: ArmGeometry, q_deg: JointsLike, length_mm: float) -> Ell
     rank = int((radii > RANK_TOLERANCE * radii[0]).sum())
     condition = float(radii[0] / radii[-1]) if rank == len(radii) else float("inf")
     return Ellipsoid(axes, radii, joint_axes.T, condition, rank)
-
-
-def position_ellipsoid(geometry: ArmGeometry, q_deg: JointsLike) -> tuple[FloatArray, FloatArray]:
-    """Axes (3, 3), one a column, and radii (3,) in mm/rad of the tip's velocity for unit rates of all joints."""
-    axes, radii, _ = np.linalg.svd(jacobian.geometric(geometry, q_deg)[:3], full_matrices=False)
-    return axes, radii
-
-
-def elbow_angle_of_measure(measure: float) -> float:
-    """Distance of q3 from 0 or 180 in deg at which |s3| is `measure` (0..1)."""
-    return degrees(np.arcsin(measure).item())
 
 
 def _check_length(length_mm: float) -> None:
