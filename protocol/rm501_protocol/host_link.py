@@ -226,11 +226,12 @@ class HostLink(LinkCore):
         if header.epoch != self._epoch or not header.flags & FLAG_OPEN:
             self._foreign(header)
             return
-        if self._silent and self._last_heard_us is not None:
-            self._silent = False
-            self._put_event(LinkHeard(now_us - self._last_heard_us))
-        self._heard(now_us)
         lead = ahead(header.generation, self._generation)
+        if lead < 128:  # a packet of an older generation comes late: it does not say that the board hears us now
+            if self._silent and self._last_heard_us is not None:
+                self._silent = False
+                self._put_event(LinkHeard(now_us - self._last_heard_us))
+            self._heard(now_us)
         if 0 < lead < 128:
             self._generation = header.generation
             if self._stop is None:  # else `stop` has dropped what there was, and what waits is for after it

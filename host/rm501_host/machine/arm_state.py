@@ -36,6 +36,7 @@ class ArmState:
         self._utc = utc
         self._digest = zlib.crc32(msgspec.json.encode(config))
         self._boot_id = 0
+        self._contradicted_boot: int | None = None
         self._vetoed: set[int] = set()
         self._status: Status | None = None
         limits = Limits.from_config(config)
@@ -64,7 +65,9 @@ class ArmState:
         if not status.trusted_mask & _ARM_MOTORS:
             return "the board trusts no position: home every joint"
         reason = None
-        if record is None:
+        if identify.boot_id == self._contradicted_boot:
+            reason = "the board has contradicted itself since it was switched on"
+        elif record is None:
             reason = "there is no usable position file"
         elif record.boot_id != identify.boot_id:
             reason = "the position file belongs to another boot of the board"
@@ -101,9 +104,15 @@ class ArmState:
         """The link is gone: what was known is shown on, and nothing is trusted until the next session."""
         self._status = None
 
+    def contradicted(self) -> None:
+        """The board reported what cannot be: until it boots again, or every joint is homed, nothing is trusted."""
+        self._contradicted_boot = self._boot_id
+
     def joint_homed(self, joint: int) -> None:
         """This joint has homed in this session: from here on the board's trust in it counts."""
         self._vetoed.discard(joint)
+        if not self._vetoed:
+            self._contradicted_boot = None
 
     @property
     def homed(self) -> tuple[bool, ...]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from rm501_host.session import LinkLostError, SessionLostError
+from rm501_host.session import ContradictionError, LinkLostError, SessionLostError
 from rm501_protocol.faults import FAULT_TEXTS, FaultCode
 from rm501_protocol.link_events import LossReason
 
@@ -144,6 +144,12 @@ def link_lost(error: Exception) -> Cause:
     """The connection is gone; an arm that moves holds on its path by itself."""
     if isinstance(error, SessionLostError):
         return BOARD_RESTARTED if error.loss is LossReason.BOARD_RESTARTED else _TAKEN_OVER
+    if isinstance(error, ContradictionError):
+        return Cause(
+            error.reason,
+            "its firmware or its memory is not sound: stop the arm, restart the board, and home every joint",
+            Rank.LINK_LOST,
+        )
     reason = error.reason if isinstance(error, LinkLostError) else str(error)
     return Cause(
         f"the connection to the board is lost: {reason}",

@@ -35,8 +35,8 @@ from rm501_host.machine.limits import RuntimeLimits
 from rm501_host.machine.settling import REST_TIMEOUT_S, settle
 from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe, next_state
 from rm501_host.motion import MotionStream
-from rm501_host.session import BoardSession
-from rm501_host.session.board_session import LinkLostError, Notice
+from rm501_host.session import BoardSession, ContradictionError, LinkLostError
+from rm501_host.session.board_session import Notice
 from rm501_host.session.refusals import BoardRefusedError
 from rm501_host.storage import JsonLog, PositionFile
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause
@@ -566,6 +566,8 @@ class Machine:
         self._causes.connected(restarted=restarted, fault=fault)
 
     def _link_down(self, error: Rm501Error) -> None:
+        if isinstance(error, ContradictionError):
+            self.arm_state.contradicted()
         was_up = self._port.session is not None
         if was_up or self.state is not MachineState.ESTOP:
             self.stream = None

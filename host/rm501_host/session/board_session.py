@@ -13,12 +13,14 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
+from rm501_host.session.configuring import agree_on_configuration
+from rm501_host.session.consistency import Consistency
 from rm501_host.session.counters import FrameCounter
+from rm501_host.session.errors import ContradictionError, LinkLostError, SessionLostError
 from rm501_host.session.refusals import BoardRefusedError
 from rm501_host.session.versions import refused_text
 from rm501_protocol.board_config import BoardConfig
 from rm501_protocol.declaration import Message
-from rm501_protocol.enums import BoardState
 from rm501_protocol.framing import PacketCodec
 from rm501_protocol.host_link import HostLink
 from rm501_protocol.link_events import (
@@ -27,7 +29,6 @@ from rm501_protocol.link_events import (
     LinkHeard,
     LinkNoisy,
     LinkSilent,
-    LossReason,
     Received,
     SessionLost,
     SessionOpened,
@@ -36,11 +37,11 @@ from rm501_protocol.link_events import (
     StopKind,
 )
 from rm501_protocol.messages import (
-    ConfigAccepted,
-    ConfigCommit,
     Identify,
+    MotionEnded,
     Refused,
     Segment,
+    SetPositions,
     Start,
     Status,
     StatusRequest,
@@ -68,28 +69,6 @@ _JUST_NOW_S = 2.0
 """A command given before a stall has become motion by then: files written, first segments planned."""
 _POLL_S = 0.01
 """Between two looks at whether a command took effect."""
-
-
-class LinkLostError(StoppedError):
-    """The board cannot be reached any more; what it does then is its own rule: it holds on the path and waits for a
-    user. `reason`: why alone, without what the arm does and what to do.
-    """
-
-    def __init__(self, text: str, reason: str = "") -> None:
-        super().__init__(text)
-        self.reason = reason or text
-
-
-class SessionLostError(LinkLostError):
-    """The line is there, but the board knows nothing of the session any more; `loss` says why."""
-
-    def __init__(self, loss: LossReason) -> None:
-        super().__init__(
-            f"the session with the board is over: {loss.value}; its queue and its position are lost: "
-            "connect again and home the arm",
-            loss.value,
-        )
-        self.loss = loss
 
 
 class BoardSession:
@@ -120,6 +99,8 @@ class BoardSession:
         self.status: Status | None = None
         """The newest status, None before the first."""
         self.link_silent = False
+        self._consistency: Consistency | None = None
+        """Judges what the board reports, once its configuration is known."""
 
     # ------------------------------------------------------------------------------------------- handshake
 
@@ -148,31 +129,9 @@ class BoardSession:
         identify = answer.identify
         assert identify is not None, "a host's link has it"
         status = await self.refresh_status()
-        if identify.config_hash != board_config.hash:
-            await self._configure(identify, status, board_config)
+        await agree_on_configuration(self, identify, status, board_config)
+        self._consistency = Consistency(board_config, self.link.on_its_way)
         return identify
-
-    async def _configure(self, identify: Identify, status: Status, board_config: BoardConfig) -> None:
-        if status.state not in (BoardState.BOOT, BoardState.IDLE):
-            differing = [f"configuration {identify.config_hash:08x} instead of {board_config.hash:08x}"]
-            if identify.base_period_us != board_config.timing.base_period_us:
-                differing.append(
-                    f"base period {identify.base_period_us} us instead of {board_config.timing.base_period_us} us"
-                )
-            if identify.frame_periods != board_config.frame_periods:
-                differing.append(f"frame of {identify.frame_periods} periods instead of {board_config.frame_periods}")
-            raise RefusedError(
-                f"the board is {status.state.name} with another configuration ({', '.join(differing)}); "
-                "stop and reset it, then connect again"
-            )
-        for page in board_config.pages():
-            self.post(page)
-        accepted = await self.request(ConfigCommit(board_config.hash), ConfigAccepted)
-        if accepted.config_hash != board_config.hash:
-            raise RefusedError(
-                f"the board took configuration {accepted.config_hash:08x} instead of {board_config.hash:08x}; "
-                "reset the board"
-            )
 
     # -------------------------------------------------------------------------------------------- messages
 
@@ -180,6 +139,8 @@ class BoardSession:
         """Hand a message to the link; raises the session's failure, LinkFullError."""
         self._raise_failure()
         self.link.send(message)
+        if isinstance(message, SetPositions) and self._consistency is not None:
+            self._consistency.positions_set(message)
         self._schedule_pump()
 
     async def request(self, message: Message, reply: type[M], timeout_s: float = COMMAND_TIMEOUT_S) -> M:
@@ -389,6 +350,8 @@ class BoardSession:
 
     def _handle(self, event: Event) -> None:
         match event:
+            case Received(message=Status() | MotionEnded() as report) if self._is_nobodys(report):
+                pass
             case Received(message=Status() as status):
                 self.status = status
                 self.motion_frames.read(status.motion_frame)
@@ -415,6 +378,19 @@ class BoardSession:
                 self._tell(event)
             case _:
                 pass
+
+    def _is_nobodys(self, report: Status | MotionEnded) -> bool:
+        """Whether a report is older than what is known, or cannot be; then the session is over."""
+        if self._failure is not None:
+            return True
+        if self._consistency is None:
+            return False
+        if isinstance(report, Status) and self._consistency.is_outdated(report, self._now_us()):
+            return True
+        found = self._consistency.contradiction_in(report)
+        if found is not None:
+            self._fail(ContradictionError(found))
+        return found is not None
 
     def _tell(self, notice: Notice) -> None:
         for listener in tuple(self._listeners):
