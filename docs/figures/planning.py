@@ -113,7 +113,7 @@ def blends(folder: Path) -> None:
             samples.tcp_mm[:, 0], samples.tcp_mm[:, 1], color=colour, lw=1.3, label=f"{label}: {plan.motion_s:.2f} s"
         )
     axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="Polyline A from above")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.02, 0.5))
     save(figure, folder, "planning_blends.png")
 
 

@@ -49,6 +49,8 @@ def draw_program(
     space.scatter(*tcp_mm[0], marker="o", label="start")
     space.scatter(*tcp_mm[-1], marker="s", label="end")
     space.set(xlabel="X mm", ylabel="Y mm", zlabel="Z mm", title="tool centre point, base frame")
+    for axis in (space.xaxis, space.yaxis):
+        axis.labelpad = 12  # clear of the ticks' numbers
     space.set_aspect("equal")
     space.legend(loc="upper left")
     angles = figure.add_subplot(grid[0, 1])
