@@ -31,7 +31,8 @@ from rm501_protocol.messages import (
 from rm501_protocol.transport import Codec
 
 from .commands import Commands
-from .core import Core, Report
+from .core import Core
+from .core_state import Report
 from .inputs import TRIGGER_SLOTS
 from .layout import BoardLayout
 from .pins import Pins

@@ -38,7 +38,8 @@ from rm501_protocol.messages import (
 )
 from rm501_protocol.segment_message import Segment
 
-from .core import MASTER_RESET_FRAMES, Core, Report
+from .core import MASTER_RESET_FRAMES, Core
+from .core_state import Report
 from .inputs import TRIGGER_SLOTS
 from .limits import Refusal
 from .segment_queue import FRAME_MASK

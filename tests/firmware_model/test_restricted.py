@@ -10,7 +10,8 @@ import pytest
 import rm501_firmware_model
 
 PACKAGE = Path(rm501_firmware_model.__file__).parent
-TICK_PATH = ("stepgen", "motion", "segment_queue", "limits", "hand", "inputs", "core")
+LAYERS = ("core_state", "queue_end", "transitions", "holding", "core")
+TICK_PATH = ("stepgen", "motion", "segment_queue", "limits", "hand", "inputs", *LAYERS)
 MAIN_LOOP = ("board", "commands", "layout", "states", "pins", "memory")
 ALL = tuple(sorted(path.stem for path in PACKAGE.glob("*.py")))
 
