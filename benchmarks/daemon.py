@@ -128,7 +128,9 @@ def main() -> int:
     parser.add_argument("--n", type=lambda text: int(float(text)), default=200, help="take-aways")
     parser.add_argument("--fuzz", type=lambda text: int(float(text)), default=100_000)
     parser.add_argument("--hours", type=float, default=24.0, help="of virtual time")
-    parser.add_argument("--traced-cycles", type=int, default=0, help="cycles of the soak under tracemalloc, each end")
+    parser.add_argument(
+        "--traced-cycles", type=int, default=0, help="cycles of every hundred of the soak under tracemalloc"
+    )
     parser.add_argument("--calls", type=int, default=1500, help="round trips")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--short", action="store_true", help="a minute or two: no take-aways, 5,000 calls, 3 cycles")

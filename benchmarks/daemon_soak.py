@@ -8,8 +8,8 @@ events    power pulses of the hand that the emulated hand got, against one full 
 memory    blocks that Python has allocated in the whole process, emulator included (`sys.getallocatedblocks`), and the
           resident set; `tracemalloc` says how much of it the host's own files hold, in windows
 
-`tracemalloc` makes Python about three times slower. A window of it lies at the start of the run, where rings fill, and
-one at its end; `--traced-cycles` sets their length, and one longer than the run traces all of it. Line numbers of long
+`tracemalloc` makes Python about three times slower. Windows of it are spread over the whole run, `--traced-cycles` of
+every hundred cycles; a hundred traces all of it. Each window is judged for its own growth. Line numbers of long
 functions would make it much slower still: Python looks them up from the function's start, unless the function was once
 traced by `sys.settrace`, which the first cycle therefore is.
 """
@@ -43,9 +43,10 @@ FILLING_BLOCKS = 600.0
 JUDGED_CYCLES = 100
 """Shorter runs still import modules and fill caches: their growth is printed, not judged."""
 GROWTH_BYTES = 20_000
-"""A cycle, traced, while the rings still fill."""
+"""A cycle, traced: what a cycle leaves in rings counts, what it pushes out was made before the window."""
 _BENCH_MEMORY_S = 10
 _LOOK_CYCLES = 5
+_WINDOW_CYCLES = 100
 _HAND = 5
 _PULSES = 800
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
@@ -88,7 +89,7 @@ def _resident_bytes() -> int:
 
 
 class _Soak:
-    """One run: `hours` of virtual time, `tracemalloc` over `traced_cycles` at either end."""
+    """One run: `hours` of virtual time, `tracemalloc` over `traced_cycles` of every hundred."""
 
     def __init__(self, hours: float, seed: int, traced_cycles: int) -> None:
         self._hours = hours
@@ -112,7 +113,7 @@ class _Soak:
             first_place: tuple[int, ...] = ()
             hand = self._hand
             while loop.time() < 3600 * self._hours or found.cycles < 3:
-                self._choose_tracing(found.cycles, loop.time())
+                self._choose_tracing(found.cycles)
                 job = await programs.run(ME, "p.ngc")
                 opened, closed = hand.pulses_open, hand.pulses_closed
                 shown = set()
@@ -136,7 +137,7 @@ class _Soak:
                 found.apart_steps, found.last_apart_steps = max(found.apart_steps, apart), apart
                 found.cycles += 1
                 cycles = found.cycles
-                if cycles % _LOOK_CYCLES == 0 or cycles < 3:
+                if cycles % _LOOK_CYCLES == 0 or cycles < 3 or tracemalloc.is_tracing():
                     gc.collect()
                     found.blocks.append((cycles, sys.getallocatedblocks(), _resident_bytes()))
                     if tracemalloc.is_tracing():
@@ -160,12 +161,11 @@ class _Soak:
         self._hand = transport.emulator.bench.hand
         return transport
 
-    def _choose_tracing(self, cycles: int, now_s: float) -> None:
-        """Trace the first cycles and the last; the very first under `settrace`."""
+    def _choose_tracing(self, cycles: int) -> None:
+        """Trace the first cycles of every hundred; the very first under `settrace`."""
         if cycles == 1:
             sys.settrace(None)
-        cycle_s = now_s / cycles if cycles else 0.0
-        wanted = cycles < self._traced_cycles or 3600 * self._hours - now_s < self._traced_cycles * cycle_s
+        wanted = cycles % _WINDOW_CYCLES < self._traced_cycles
         if wanted and not tracemalloc.is_tracing():
             tracemalloc.start()
             self.found.traced.append([])
@@ -236,14 +236,17 @@ def soak(hours: float, seed: int, traced_cycles: int) -> bool:
     good = good and found.missed_pulses == 0 and found.seen_hand == cycles
     if cycles >= JUDGED_CYCLES:
         good = good and kept < (GROWTH_BLOCKS if settled else FILLING_BLOCKS)
+    growths = []
     for window in found.traced:
-        if len(window) < 2:
+        if len(window) < 3:
             continue
-        from_cycle = window[len(window) // 2]
-        growth = (window[-1][1] - from_cycle[1]) / max(1, window[-1][0] - from_cycle[0])
+        middle = window[len(window) // 2]
+        growths.append((window[-1][1] - middle[1]) / max(1, window[-1][0] - middle[0]))
+    if growths:
+        good = good and max(growths) < GROWTH_BYTES
         print(
-            f"  tracemalloc, cycles {window[0][0]} to {window[-1][0]}: files of the host and the protocol hold "
-            f"{window[-1][1] / 1e6:.2f} MB, {growth / 1e3:+.2f} kB a cycle over the second half of the window"
+            f"  tracemalloc, {len(growths)} windows from cycle {found.traced[0][0][0]} to {found.traced[-1][-1][0]}, "
+            "files of the host and the protocol, kB a cycle over the second half of each: "
+            + " ".join(f"{growth / 1e3:+.2f}" for growth in growths)
         )
-        good = good and growth < GROWTH_BYTES
     return good

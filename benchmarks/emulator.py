@@ -140,15 +140,16 @@ def tuning_table() -> None:
 
 def accuracy_table(visits: int, seed: int) -> bool:
     """Print AP and RP of the preset `real` beside the thesis's; False when they are not of its order."""
-    print(f"\n{visits} visits, preset real        AP mm   thesis    RP mm   thesis")
+    print(f"\n{visits} visits, preset real        AP mm   thesis    RP mm   thesis  arm alone")
     figures = measure("real", visits, seed)
     for f in figures:
-        print(f"  {f.name:24}{f.ap_mm:9.3f}{f.thesis_ap_mm:9.3f}{f.rp_mm:9.3f}{f.thesis_rp_mm:9.3f}")
+        print(f"  {f.name:24}{f.ap_mm:9.3f}{f.thesis_ap_mm:9.3f}{f.rp_mm:9.3f}{f.thesis_rp_mm:9.3f}{f.arm_rp_mm:11.3f}")
     ap_mm = sum(f.ap_mm for f in figures) / len(figures)
     rp_mm = sum(f.rp_mm for f in figures) / len(figures)
+    arm_rp_mm = sum(f.arm_rp_mm for f in figures) / len(figures)
     thesis_ap = sum(f.thesis_ap_mm for f in figures) / len(figures)
     thesis_rp = sum(f.thesis_rp_mm for f in figures) / len(figures)
-    print(f"  {'mean':24}{ap_mm:9.3f}{thesis_ap:9.3f}{rp_mm:9.3f}{thesis_rp:9.3f}")
+    print(f"  {'mean':24}{ap_mm:9.3f}{thesis_ap:9.3f}{rp_mm:9.3f}{thesis_rp:9.3f}{arm_rp_mm:11.3f}")
     # Few visits estimate the spread badly: the band for RP is checked with 10 visits and more.
     return 2.5 <= ap_mm <= 3.5 and (visits < 10 or 0.4 <= rp_mm <= 0.6)
 

@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rm501_sim_board.driver_boards import MOTORS_OF_BOARD, Board, BusActivity, IntArray
+from rm501_sim_board.driver_boards import BusActivity, IntArray
 from rm501_sim_board.geometry import ARM_MOTOR_COUNT, END_STOPS, DriveTrain, FloatArray
 from rm501_sim_board.plant import (
     DEFAULT_COUNTER_LIMIT_STEPS,
     TRACE_SECONDS,
-    Disturbances,
     FrameClock,
     MotorTrace,
 )
+from rm501_sim_board.plant_base import PlantBase
 
 TRACE_FRAMES = 3
 
@@ -56,7 +56,7 @@ class _Log:
         self.periods, self.deltas = [periods[gone:].copy()], [deltas[gone:].copy()]
 
 
-class IdealPlant:
+class IdealPlant(PlantBase):
     """Six counters and five motors without mass.
 
     `start_deg` is the pose at power-up, `max_steps_per_frame` bounds what the bus can command.
@@ -72,13 +72,13 @@ class IdealPlant:
         max_steps_per_frame: float,
         counter_limit_steps: int = DEFAULT_COUNTER_LIMIT_STEPS,
     ) -> None:
-        self.drive_train = drive_train
-        self.disturbances = Disturbances()
-        self.estop_open = False
-        self._clock = clock
-        self._limit = counter_limit_steps
-        self._power_fitted = power_fitted
-        self._relay = not power_fitted
+        super().__init__(
+            drive_train,
+            clock,
+            power_fitted=power_fitted,
+            max_steps_per_frame=max_steps_per_frame,
+            counter_limit_steps=counter_limit_steps,
+        )
         to_joint = drive_train.joints_from_steps().tolist()
         self._rows = tuple(tuple((m, e) for m, e in enumerate(row) if e) for row in to_joint)
         self._start_steps: list[float] = (drive_train.steps_from_joints() @ np.asarray(start_deg)).tolist()
@@ -99,11 +99,6 @@ class IdealPlant:
     @property
     def _kept_periods(self) -> int:
         return TRACE_SECONDS * 1_000_000 // self._clock.base_period_us
-
-    @property
-    def powered(self) -> bool:
-        """Whether the motors have power."""
-        return self._relay and not self.estop_open and not self.disturbances.relay_forced_open
 
     @property
     def commanded_steps(self) -> tuple[int, ...]:
@@ -135,13 +130,9 @@ class IdealPlant:
             self._joint_deg = tuple(angles)
         return self._joint_deg
 
-    def overflow_line(self, board: Board) -> bool:
-        """Whether the board raises OVERFLOW."""
-        return any(motor in self._overflowed for motor in MOTORS_OF_BOARD[board])
-
     def bound_steps(self, max_steps_per_frame: float) -> None:
         """So many steps of a motor the bus can carry."""
-        self._max_steps_per_frame = max_steps_per_frame
+        super().bound_steps(max_steps_per_frame)
         self._joint_bounds = tuple(sum(abs(e) for _, e in row) * max_steps_per_frame for row in self._rows)
 
     def steady_frames(self) -> int:
@@ -273,7 +264,7 @@ class IdealPlant:
         self._settle(activity.first_period, made)
         for period, kind, which, sign in sorted(events):
             if kind == 0:
-                self._relay = bool(which) or not self._power_fitted
+                self._switch_relay(bool(which))
             elif kind == 1:
                 if which:
                     self._clear_counters()

@@ -69,8 +69,16 @@ class LineModel:
 
     def _harm(self, data: bytes) -> bytes:
         damage = self.damage
-        out = bytearray()
         draws = self._rng.random((len(data), 4))
+        limits = (
+            damage.flip_probability,
+            damage.drop_probability,
+            damage.insert_probability,
+            damage.duplicate_probability,
+        )
+        if not (draws < limits).any():
+            return data
+        out = bytearray()
         for value, (flip, drop, insert, duplicate) in zip(data, draws.tolist(), strict=True):
             if insert < damage.insert_probability:
                 out.append(int(self._rng.integers(0, 256)))

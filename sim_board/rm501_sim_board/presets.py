@@ -84,7 +84,7 @@ def _servo(
         no_load_deg_s=no_load,
         friction_scatter=0.12,
         integral_deadband_steps=3,
-        drift_nm=0.06 * limit,
+        drift_nm=0.08 * limit,
         backlash_deg=0.05,
         compliance_deg_nm=0.002,
     )
@@ -102,7 +102,7 @@ REAL_SERVOS: tuple[ServoParameters, ...] = (
 )
 
 # Release edges away from their nominal angles, as a real arm's are before it is calibrated.
-_REAL_SWITCH_ERROR_DEG = (0.36, -0.165, 0.31, 0.18, -0.33)
+_REAL_SWITCH_ERROR_DEG = (0.315, -0.085, 0.365, 0.25, -0.33)
 
 
 def _worn(error_deg: tuple[float, ...], hysteresis: float, scatter: float, bounce: int) -> tuple[SwitchParameters, ...]:
@@ -135,7 +135,7 @@ PRESETS: dict[str, BenchParameters] = {
                 servo,
                 coulomb_nm=1.6 * servo.coulomb_nm,
                 friction_scatter=0.25,
-                drift_nm=2.0 * servo.drift_nm,
+                drift_nm=1.5 * servo.drift_nm,
                 backlash_deg=0.15,
                 compliance_deg_nm=0.01,
                 derivative_nm_s=0.6 * servo.derivative_nm_s,

@@ -90,10 +90,14 @@ class ServoAxis:
         """How far the link can move while the motor stands: backlash, and a change of wind-up by 5 Nm."""
         return 2.0 * self._half_backlash + 5.0 * self._compliance
 
-    def largest_acceleration(self, gravity_nm: float) -> float:
-        """No torque turns this axis faster: steps/s2, with room for a load that the hand may take meanwhile."""
+    def largest_acceleration(self, gravity_nm: float, link_inertia_kg_m2: float) -> float:
+        """No torque turns this axis faster: steps/s2, with room for a load that the hand may take or let go meanwhile.
+
+        Friction only slows down what has been reckoned with as the present speed.
+        """
         p = self.parameters
-        return (1.5 * p.torque_limit_nm + 1.5 * abs(gravity_nm)) / (p.inertia_kg_m2 * self._rad_per_step)
+        torque_nm = p.torque_limit_nm + 1.5 * abs(gravity_nm) + 3.0 * p.drift_nm
+        return torque_nm / ((p.inertia_kg_m2 + 0.5 * link_inertia_kg_m2) * self._rad_per_step)
 
     def content(self, commanded: int) -> float:
         """Content of the up/down counter, saturated at its ends."""
@@ -106,8 +110,8 @@ class ServoAxis:
         self.integral_nm = 0.0
         self.overflowed = False
 
-    def at_rest(self, commanded: int, gravity_nm: float, powered: bool, stalled: bool) -> bool:
-        """Whether nothing at all will change while command and load stay as they are."""
+    def at_rest(self, commanded: int, gravity_nm: float, drift_nm: float, powered: bool, stalled: bool) -> bool:
+        """Whether nothing at all will change while command, load and the amplifier's offset stay as they are."""
         if self.speed_steps_s != 0.0:
             return False
         content = commanded - self.offset_steps - self._encoder()
@@ -122,12 +126,13 @@ class ServoAxis:
             return self.integral_nm == 0.0 and abs(gravity_nm) <= stiction
         if abs(content) > p.integral_deadband_steps and p.integral_nm_s:
             return False
-        return abs(p.proportional_nm * content + self.integral_nm - gravity_nm) <= stiction
+        return abs(p.proportional_nm * content + self.integral_nm + drift_nm - gravity_nm) <= stiction
 
     def advance(
         self,
         commands: list[int],
         gravity_nm: float,
+        drift_nm: float,
         link_inertia_kg_m2: float,
         friction_factor: float,
         powered: bool,
@@ -139,6 +144,7 @@ class ServoAxis:
     ) -> None:
         """One sample per entry of `commands` (steps commanded since power-up, at the sample's start).
 
+        `drift_nm` is the amplifier's offset: it turns the motor while there is power; the link feels nothing of it.
         Appends the link's position and the encoder's reading after every sample. `low_steps` and `high_steps` are the
         mechanical ends of this motor's travel.
         """
@@ -167,6 +173,7 @@ class ServoAxis:
         lean = 0.0 if abs(gravity_nm) <= 0.1 * coulomb else (-half if gravity_nm > 0.0 else half)
         if stalled:
             w = 0.0
+        turning_load = gravity_nm - drift_nm if powered else gravity_nm
         for command in commands:
             encoder = (x * counts + 0.5) // 1.0 / counts
             content = command - offset - encoder
@@ -196,7 +203,7 @@ class ServoAxis:
                     torque = -stall - slope * w
             else:
                 torque = integral = 0.0
-            drive = torque - gravity_nm
+            drive = torque - turning_load
             if not stalled:
                 left = h
                 if w == 0.0:

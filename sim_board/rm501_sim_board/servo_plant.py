@@ -15,17 +15,17 @@ from math import sqrt
 
 import numpy as np
 
-from rm501_sim_board.driver_boards import MOTORS_OF_BOARD, Board, BusActivity, IntArray
+from rm501_sim_board.driver_boards import BusActivity, IntArray
 from rm501_sim_board.geometry import ARM_MOTOR_COUNT, END_STOPS, DriveTrain, FloatArray, Joint, Motor
 from rm501_sim_board.loads import ArmLoads, JointLoads
 from rm501_sim_board.plant import (
     DEFAULT_COUNTER_LIMIT_STEPS,
     NEVER_FRAMES,
     TRACE_SECONDS,
-    Disturbances,
     FrameClock,
     MotorTrace,
 )
+from rm501_sim_board.plant_base import PlantBase
 from rm501_sim_board.randomness import stream
 from rm501_sim_board.servo import LEAST_FRICTION_FACTOR, ServoAxis, ServoParameters
 
@@ -33,10 +33,15 @@ SAMPLE_US = 960  # three frames of 320 us; with other frames, the nearest whole 
 SAMPLES_PER_LOAD = 8  # 7.68 ms
 # How near to a stop, in deg, the coupled wrist motors are watched sample by sample.
 _WATCH_DEG = 1.5
+_FREE_PITCH_DEG, _FREE_ROLL_DEG = (
+    (END_STOPS[joint].low_deg + _WATCH_DEG, END_STOPS[joint].high_deg - _WATCH_DEG)
+    for joint in (Joint.PITCH, Joint.ROLL)
+)
 _NOISE_CHUNK = 1024
-# From one load interval to the next: friction wanders within 0.5 s, an amplifier's offset within 10 s.
+# From one load interval to the next: friction wanders within 0.5 s, an amplifier's offset, which is its temperature's,
+# within a minute.
 _FRICTION_MEMORY = 0.985
-_DRIFT_MEMORY = 0.99923
+_DRIFT_MEMORY = 0.999872
 
 
 class _Change(IntEnum):
@@ -68,13 +73,19 @@ class _Wander:
         self._values: list[float] = []
 
     def value(self, interval: int) -> float:
-        if not self._drive:
-            return 0.0
+        values = self._values
+        if interval >= len(values):
+            if not self._drive:
+                return 0.0
+            self._draw_up_to(interval)
+        return values[interval]
+
+    def _draw_up_to(self, interval: int) -> None:
+        limit, memory, drive = self._limit, self._memory, self._drive
         while interval >= len(self._values):
             for draw in self._rng.standard_normal(_NOISE_CHUNK).tolist():
-                self._last = self._memory * self._last + self._drive * draw
-                self._values.append(min(max(self._last, -self._limit), self._limit))
-        return self._values[interval]
+                self._last = memory * self._last + drive * draw
+                self._values.append(min(max(self._last, -limit), limit))
 
 
 def _time_to_cover(distance: float, speed: float, acceleration: float) -> float:
@@ -84,7 +95,7 @@ def _time_to_cover(distance: float, speed: float, acceleration: float) -> float:
     return (sqrt(speed * speed + 2.0 * acceleration * distance) - speed) / acceleration
 
 
-class ServoPlant:
+class ServoPlant(PlantBase):
     """Motors, gears and arm with dynamics."""
 
     def __init__(
@@ -100,18 +111,22 @@ class ServoPlant:
         max_steps_per_frame: float,
         counter_limit_steps: int = DEFAULT_COUNTER_LIMIT_STEPS,
     ) -> None:
-        self.drive_train = drive_train
-        self.disturbances = Disturbances()
-        self.estop_open = False
-        self._clock = clock
+        super().__init__(
+            drive_train,
+            clock,
+            power_fitted=power_fitted,
+            max_steps_per_frame=max_steps_per_frame,
+            counter_limit_steps=counter_limit_steps,
+        )
         self._loads = loads
-        self._limit = counter_limit_steps
-        self._max_steps_per_frame = max_steps_per_frame
-        self._power_fitted = power_fitted
-        self._relay = not power_fitted
         # The arm stands on its transport prop until power comes for the first time.
         self._propped = power_fitted
         self._to_joint = tuple(tuple(row) for row in drive_train.joints_from_steps().tolist())
+        # By virtual work, what each motor takes of the torques at shoulder, elbow and pitch.
+        self._torque_shares = tuple(
+            tuple(self._to_joint[j][m] * per_deg for j in (Joint.SHOULDER, Joint.ELBOW, Joint.PITCH))
+            for m, per_deg in enumerate(drive_train.steps_per_deg)
+        )
         start_steps = (drive_train.steps_from_joints() @ np.asarray(start_deg)).tolist()
         self.axes = tuple(
             ServoAxis(p, s, counter_limit_steps, SAMPLE_US * 1e-6) for p, s in zip(servos, start_steps, strict=True)
@@ -162,11 +177,6 @@ class ServoPlant:
     # ------------------------------------------------------------ what the bench sees
 
     @property
-    def powered(self) -> bool:
-        """Whether the motors have power."""
-        return self._relay and not self.estop_open and not self.disturbances.relay_forced_open
-
-    @property
     def commanded_steps(self) -> tuple[int, ...]:
         """Steps counted from the pins since power-up."""
         return tuple(self._fed)
@@ -186,15 +196,7 @@ class ServoPlant:
         """True joint angles, DH deg: where the links are."""
         slip = self.disturbances.slip_steps
         a, b, c, d, e = (link + lost for link, lost in zip(self._links, slip, strict=True))
-        return tuple(r[0] * a + r[1] * b + r[2] * c + r[3] * d + r[4] * e for r in self._to_joint)
-
-    def overflow_line(self, board: Board) -> bool:
-        """Whether the board raises OVERFLOW."""
-        return any(self.axes[motor].overflowed for motor in MOTORS_OF_BOARD[board])
-
-    def bound_steps(self, max_steps_per_frame: float) -> None:
-        """So many steps of a motor the bus can carry."""
-        self._max_steps_per_frame = max_steps_per_frame
+        return tuple([r[0] * a + r[1] * b + r[2] * c + r[3] * d + r[4] * e for r in self._to_joint])
 
     def steady_frames(self) -> int:
         """Frames for which no overflow line can change."""
@@ -228,8 +230,8 @@ class ServoPlant:
         """Speed and largest possible acceleration of each motor, steps/s and steps/s2; renewed by `advance`."""
         if self._reach_now is None:
             self._reach_now = [
-                (abs(axis.speed_steps_s), axis.largest_acceleration(gravity))
-                for axis, gravity in zip(self.axes, self._gravity_nm, strict=True)
+                (abs(axis.speed_steps_s), axis.largest_acceleration(gravity, inertia))
+                for axis, gravity, inertia in zip(self.axes, self._gravity_nm, self._inertia_kg_m2, strict=True)
             ]
         return self._reach_now
 
@@ -333,7 +335,7 @@ class ServoPlant:
         while changes and changes[0][0] <= sample * per_sample:
             _, kind, value = changes.pop(0)
             if kind is _Change.POWER:
-                self._relay = bool(value) or not self._power_fitted
+                self._switch_relay(bool(value))
                 self._propped = self._propped and not self._relay
             elif kind is _Change.PAYLOAD:
                 self._payload_kg = value
@@ -356,29 +358,25 @@ class ServoPlant:
         wrist_j = 0.25 * loads.pitch_kg_m2
         self._inertia_kg_m2 = [loads.waist_kg_m2, loads.shoulder_kg_m2, loads.elbow_kg_m2, wrist_j, wrist_j]
         self._factor = [1.0 + wander.value(interval) for wander in self._friction]
-        self._near_wrist_stop = any(
-            not END_STOPS[j].low_deg + _WATCH_DEG < angles[j] < END_STOPS[j].high_deg - _WATCH_DEG
-            for j in (Joint.PITCH, Joint.ROLL)
+        self._near_wrist_stop = not (
+            _FREE_PITCH_DEG[0] < angles[3] < _FREE_PITCH_DEG[1] and _FREE_ROLL_DEG[0] < angles[4] < _FREE_ROLL_DEG[1]
         )
 
     def _motor_torques(self, loads: JointLoads) -> list[float]:
-        """Torque that each motor must hold, by virtual work; motor angles in degrees of their own."""
-        per_deg = self.drive_train.steps_per_deg
-        held = (0.0, loads.shoulder_nm, loads.elbow_nm, loads.pitch_nm, 0.0)
-        return [
-            sum(held[j] * self._to_joint[j][m] for j in (Joint.SHOULDER, Joint.ELBOW, Joint.PITCH)) * per_deg[m]
-            for m in range(ARM_MOTOR_COUNT)
-        ]
+        """Torque that each motor must hold; motor angles in degrees of their own."""
+        shoulder, elbow, pitch = loads.shoulder_nm, loads.elbow_nm, loads.pitch_nm
+        return [s * shoulder + e * elbow + p * pitch for s, e, p in self._torque_shares]
 
     def _run(self, sample: int, end: int, commands: list[list[int]], first: int) -> None:
         powered, stalled = self.powered, self.disturbances.stalled
         count = end - sample
         for motor, axis in enumerate(self.axes):
             part = commands[motor][sample - first : end - first]
-            gravity = self._gravity_nm[motor] - (self._offset_nm[motor] if powered else 0.0)
+            gravity, drift = self._gravity_nm[motor], self._offset_nm[motor]
             held = motor in stalled or self._propped
             links, encoders = self._link_log[motor], self._encoder_log[motor]
-            if part[0] == part[-1] and len(set(part)) == 1 and axis.at_rest(part[0], gravity, powered, held):
+            still = part[0]
+            if part[-1] == still and part.count(still) == count and axis.at_rest(still, gravity, drift, powered, held):
                 link = axis.rest(gravity, self._factor[motor])
                 links.extend([link] * count)
                 encoders.extend([axis.encoder_steps()] * count)
@@ -387,6 +385,7 @@ class ServoPlant:
                 axis.advance(
                     part,
                     gravity,
+                    drift,
                     self._inertia_kg_m2[motor],
                     self._factor[motor],
                     powered,

@@ -44,7 +44,9 @@ def step_response(
     axis = ServoAxis(servo, 0.0, 10**9, sample_s)
     count = round(seconds / sample_s)
     links, encoders = array("d"), array("d")
-    axis.advance([step_steps] * count, gravity_nm, link_inertia_kg_m2, 1.0, True, False, -1e12, 1e12, links, encoders)
+    axis.advance(
+        [step_steps] * count, gravity_nm, 0.0, link_inertia_kg_m2, 1.0, True, False, -1e12, 1e12, links, encoders
+    )
     return np.array(links)
 
 

@@ -27,9 +27,11 @@ MASSES = ArmMasses()
 LOADS = ArmLoads(MASSES, 220.0, 150.0, 95.0)
 
 
-def _run(axis: ServoAxis, commands: list[int], *, powered: bool, gravity_nm: float = 0.0) -> list[float]:
+def _run(
+    axis: ServoAxis, commands: list[int], *, powered: bool, gravity_nm: float = 0.0, drift_nm: float = 0.0
+) -> list[float]:
     links, encoders = array("d"), array("d")
-    axis.advance(commands, gravity_nm, 0.0, 1.0, powered, False, -1e12, 1e12, links, encoders)
+    axis.advance(commands, gravity_nm, drift_nm, 0.0, 1.0, powered, False, -1e12, 1e12, links, encoders)
     return list(links)
 
 
@@ -48,6 +50,29 @@ def test_coasting_to_rest_under_viscous_and_coulomb_friction_is_exact() -> None:
     expected = (start + drag) * tau * (1.0 - exp(-at * SAMPLE_S / tau)) - drag * at * SAMPLE_S
     assert path[at - 1] == pytest.approx(expected, rel=1e-12)
     assert axis.speed_steps_s == 0.0
+
+
+@pytest.mark.parametrize("gravity_nm", [3.0, -3.0])
+@pytest.mark.parametrize("drift_nm", [8.0, -8.0])
+def test_an_amplifiers_offset_turns_the_motor_and_pulls_at_no_link(gravity_nm, drift_nm) -> None:
+    axis = ServoAxis(replace(SHOULDER, coulomb_nm=0.5), 0.0, 10**9, SAMPLE_S)
+    start = axis.position_steps
+    links = _run(axis, [0] * 3000, powered=True, gravity_nm=gravity_nm, drift_nm=drift_nm)
+    # the loop lets the offset turn the motor by some steps; the link hangs on the flank that gravity says
+    assert (axis.position_steps - start) * drift_nm > 0.0
+    lean = -0.5 * SHOULDER.backlash_deg * 40.0 if gravity_nm > 0.0 else 0.5 * SHOULDER.backlash_deg * 40.0
+    sag = SHOULDER.compliance_deg_nm * 40.0 * gravity_nm
+    assert links[-1] == pytest.approx(axis.position_steps + lean - sag, abs=1e-9)
+    assert axis.rest(gravity_nm, 1.0) == links[-1]
+
+
+def test_an_amplifier_without_power_has_no_offset() -> None:
+    axis = ServoAxis(SHOULDER, 0.0, 10**9, SAMPLE_S)
+    _run(axis, [0] * 100, powered=False, drift_nm=30.0)
+    assert axis.position_steps == 0.0
+    assert axis.at_rest(0, 0.0, 30.0, False, False)
+    assert axis.at_rest(0, 5.0, 5.0, True, False)
+    assert not axis.at_rest(0, 0.0, 5.0, True, False)
 
 
 def test_stiction_holds_up_to_its_limit_and_not_beyond() -> None:
