@@ -9,6 +9,8 @@ import asyncio
 import contextlib
 import json
 import signal
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from rm501_host.client.commands import upload
 from tests.operator.processes import REPOSITORY, client_of, start_board, start_daemon
 from tests.support.patience import PATIENCE_S
 
+STOOD_STILL = "stood still for more than a second before the motion began"
 POINTS = {
     "pick": [0.0, 60.0, -60.0, 30.0, 0.0],
     "over": [0.0, 70.0, -60.0, 30.0, 0.0],
@@ -48,9 +51,46 @@ async def state(client: DaemonClient, **expected: object) -> dict[str, Any]:
     return fresh
 
 
-async def moving(client: DaemonClient, before: list[int]) -> None:
-    """Wait until the program is past its first lines and moves the arm, away from `before`, at full feed."""
-    await client.status_where(lambda now: now["line"] >= 7 and now["steps"] != before and now["rate"] > 0.9, PATIENCE_S)
+async def move(client: DaemonClient, method: str, **params: object) -> None:
+    """Move and wait for the end; again where this computer stood still as it began, for then it rightly does not."""
+    while True:
+        try:
+            await client.motion(method, **params)
+            return
+        except RemoteError as error:
+            if STOOD_STILL not in str(error):
+                raise
+
+
+async def watched_home(client: DaemonClient) -> None:
+    """Home, and see who does it; again where this computer stood still."""
+    while True:
+        home = await client.call("home")
+        await passing(client, activity="home", owner="operator", motion_id=home["motion"])
+        try:
+            await client.wait(home)
+            return
+        except RemoteError as error:
+            if STOOD_STILL not in str(error):
+                raise
+
+
+async def run_program(client: DaemonClient) -> dict[str, Any]:
+    """Start the program, again where this computer stood still as it began; returns once it is past its first lines
+    and moves the arm at full feed.
+    """
+    before = (await client.call("status"))["steps"]
+    while True:
+        run: dict[str, Any] = await client.call("program.run", name="pnp.ngc")
+
+        def is_decided(now: dict[str, Any], motion: int = run["motion"]) -> bool:
+            moves = now["line"] >= 7 and now["steps"] != before and now["rate"] > 0.9
+            return now["motion_id"] == motion and (moves or not now["activity"])
+
+        if (await client.status_where(is_decided, PATIENCE_S))["activity"]:
+            return run
+        with pytest.raises(RemoteError, match=STOOD_STILL):
+            await client.wait(run)
 
 
 async def jog(client: DaemonClient, frame: str, axis: str, speed: float) -> None:
@@ -79,7 +119,7 @@ async def test_operator_run(tmp_path: Path) -> None:
     board = await start_board(tmp_path)
     daemon = await start_daemon(tmp_path)
     try:
-        async with client_of(tmp_path) as client:
+        async with client_of(tmp_path) as client, client_of(tmp_path, "attendant") as second, attended(second):
             await state(client, task_state="ESTOP", cause="the daemon has started", connected=True, homed=[False] * 5)
             with pytest.raises(RemoteError, match="then reset"):
                 await client.call("home")
@@ -88,12 +128,10 @@ async def test_operator_run(tmp_path: Path) -> None:
             with pytest.raises(RemoteError, match="not homed"):
                 await client.call("move.joints", q_deg=POINTS["pick"])
 
-            home = await client.call("home")
-            await passing(client, run_state="RUNNING", activity="home", owner="operator")
-            await client.wait(home)
+            await watched_home(client)
             await state(client, task_state="ON", run_state="IDLE", homed=[True] * 5, owner="")
 
-            await client.motion("move.joints", q_deg=POINTS["pick"])
+            await move(client, "move.joints", q_deg=POINTS["pick"])
             now = await state(client, run_state="IDLE", activity="")
             assert now["joints_deg"] == pytest.approx(POINTS["pick"], abs=0.05)
             await jog(client, "joint", "waist", 10)
@@ -102,18 +140,17 @@ async def test_operator_run(tmp_path: Path) -> None:
             await jog(client, "tool", "z", 30)
 
             for name, q_deg in POINTS.items():
-                await client.motion("move.joints", q_deg=q_deg)
+                await move(client, "move.joints", q_deg=q_deg)
                 await client.call("teach.record", name=name)
             assert [point["name"] for point in await client.call("teach.list")] == list(POINTS)
-            await client.motion("teach.go", name="pick", how="joint", speed=1.0)
+            await move(client, "teach.go", name="pick", how="joint", speed=1.0)
             check(await client.call("status"), mode="MANUAL", run_state="IDLE")
 
             await upload(client, "pnp.ngc", (REPOSITORY / "examples" / "pick_and_place.ngc").read_text())
             checked = await client.call("program.check", name="pnp.ngc")
             assert checked["complete"] and 30 < checked["duration_s"] < 60
-            run = await client.call("program.run", name="pnp.ngc")
+            run = await run_program(client)
             await passing(client, mode="AUTO", run_state="RUNNING", activity="program", program="pnp.ngc")
-            await client.status_where(lambda now: now["line"] >= 7)
             await client.call("override", ratio=0.5)
             await passing(client, override=0.5, run_state="RUNNING")
             await client.status_where(lambda now: abs(now["rate"] - 0.5) < 0.01)
@@ -137,12 +174,10 @@ async def test_operator_run(tmp_path: Path) -> None:
             stopped = await client.status_where(lambda now: not now["power"] and not any(now["homed"]))
             assert stopped["line"] >= 7
             await recover(client)
-            await client.motion("move.joints", q_deg=POINTS["over"])
+            await move(client, "move.joints", q_deg=POINTS["over"])
 
             # pull the link while the arm moves: the board holds by itself and nothing goes on alone
-            before = (await client.call("status"))["steps"]
-            run = await client.call("program.run", name="pnp.ngc")
-            await moving(client, before)
+            run = await run_program(client)
             board.send(signal.SIGSTOP)
             await client.status_where(lambda now: now["link_silent"])
             await client.status_where(lambda now: not now["connected"])
@@ -157,7 +192,7 @@ async def test_operator_run(tmp_path: Path) -> None:
             await asyncio.sleep(2.0)
             assert (await client.call("status"))["steps"] == steps
             await recover(client)
-            await client.motion("move.joints", q_deg=POINTS["over"])
+            await move(client, "move.joints", q_deg=POINTS["over"])
             final = await state(client, task_state="ON", run_state="IDLE", homed=[True] * 5)
         assert await daemon.end() == 0
         record = json.loads((tmp_path / "state" / "position.json").read_text())
@@ -168,6 +203,25 @@ async def test_operator_run(tmp_path: Path) -> None:
     finally:
         await daemon.end(signal.SIGKILL)
         await board.end(signal.SIGKILL)
+
+
+@asynccontextmanager
+async def attended(client: DaemonClient) -> AsyncIterator[None]:
+    """Somebody resumes what is held because this computer stood still for a second."""
+
+    async def resume() -> None:
+        while True:
+            await client.status_where(lambda now: now["run_state"] == "HELD" and now["hold_cause"] == "LINK_LOST", 1e4)
+            with contextlib.suppress(RemoteError):
+                await client.call("resume")
+            await asyncio.sleep(0.1)
+
+    attending = asyncio.create_task(resume())
+    try:
+        yield
+    finally:
+        attending.cancel()
+        await asyncio.gather(attending, return_exceptions=True)
 
 
 async def recover(client: DaemonClient) -> None:
@@ -181,5 +235,5 @@ async def recover(client: DaemonClient) -> None:
             await client.call("reset", fault=status["fault"] or None)
     status = await state(client, task_state="ON", run_state="IDLE")
     if not all(status["homed"]):
-        await client.motion("home")
+        await move(client, "home")
     await state(client, task_state="ON", run_state="IDLE", homed=[True] * 5)
