@@ -1,15 +1,16 @@
 """Long programs through the real `run`: CPU to the first segment, checked moves a second, memory.
 
-    python -m benchmarks.long_program [--n MOVES] [--cpu SECONDS] [--kinds] [--whole] [--gigabyte]
+    python -m benchmarks.long_program [--n MOVES] [--cpu SECONDS] [--kinds] [--estimates] [--whole] [--gigabyte]
 
 A program of `--n` short lines (default 20,000; 1e5 in full) is run by `run_program` on the emulated board, in virtual
 time and in a process of its own. Its CPU is counted from the start of that process, so it holds the imports, the check
 of the whole program, homing on the emulated board, and planning up to the first segment of the program that is sent.
 The run then goes on for `--cpu` seconds (or to its end) while memory is watched (the emulated board keeps no words).
-`--kinds`: also how fast each kind of move is read and checked. `--whole`: to its end, and then a mixed program
-(XYZABC lines with a turning tool, arcs), too: minutes. `--gigabyte`: also a file of 1 GB, which is checked ahead of the
-motion. Targets: 5 s of CPU for 1e5 lines, 40,000 XYZABC lines and 20,000 arcs checked a second, and memory that does
-not grow.
+`--kinds`: also how fast each kind of move is read and checked. `--estimates`: how well the time of each is estimated
+from planned stretches, by a fifth (splines: a fiftieth) of the moves planned whole. `--whole`: to its end, and then a
+mixed program (XYZABC lines with a turning tool, arcs), too: minutes. `--gigabyte`: also a file of 1 GB, which is
+checked ahead of the motion. Targets: 5 s of CPU for 1e5 lines, 40,000 XYZABC lines and 20,000 arcs checked a second,
+and memory that does not grow.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ OBJECTS_SHARE = 1.05
 """Python objects after the first third, of those in it: a leak of the host would show here."""
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 FOR_EVER_S = 1e9
+ESTIMATE_ERROR = 0.35
 KIND_TARGETS = {"XYZABC lines": 40_000, "XYZABC lines, C turning": 40_000, "half circles of 1 mm": 20_000}
 """Moves a second, read and checked."""
 
@@ -182,12 +184,41 @@ def check_speed(kind: Kind, moves: int, folder: Path) -> bool:
     return good
 
 
+def estimate(kind: Kind, moves: int, folder: Path) -> bool:
+    """Print how long a program is estimated to take, and how long it takes planned; whether that is near enough."""
+    from rm501_host.kinematics import Arm
+    from rm501_host.planner import Planner
+    from rm501_host.preflight import ProgramCheck
+    from rm501_host.program import read_moves
+
+    program = folder / "kind.ngc"
+    write_program(program, kind, moves)
+    config = configuration(kind.is_thesis)
+    arm = Arm.from_config(config)
+    check = ProgramCheck(arm, config, config.home_deg)
+    read = list(read_moves(program, arm, lambda: check.q_deg.tolist(), config=config))
+    check.run(read, max_moves=10**9, estimate=False)
+    before = time.process_time()
+    estimated_s = check.estimate_s()
+    cpu_s = time.process_time() - before
+    took_s = sum(piece.duration_s for piece in Planner(arm, config, config.home_deg).plan(read))
+    error = estimated_s / took_s - 1.0
+    good = abs(error) <= ESTIMATE_ERROR
+    print(
+        f"  {kind.name:24}{moves:9d} moves: at their feeds {check.nominal_s:7.1f} s, estimated {estimated_s:7.1f} s in "
+        f"{cpu_s:.2f} s CPU, planned {took_s:7.1f} s, error {error:+.1%}{'' if good else '  MISSED'}",
+        flush=True,
+    )
+    return good
+
+
 def main() -> int:
     """Print the figures; 1 when a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--n", type=float, default=20_000, help="moves of the program, such as 1e5")
     parser.add_argument("--cpu", type=float, default=15.0, help="seconds of CPU to run on after the first segment")
     parser.add_argument("--kinds", action="store_true", help="how fast each kind of move is checked")
+    parser.add_argument("--estimates", action="store_true", help="how well their times are estimated")
     parser.add_argument("--whole", action="store_true", help="run to the end, and a mixed program, too")
     parser.add_argument("--gigabyte", action="store_true", help="also a file of 1 GB")
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
@@ -204,6 +235,8 @@ def main() -> int:
         folder = Path(name)
         for kind in KINDS if options.kinds else (PLAIN,):
             good &= check_speed(kind, count, folder)
+        for kind in KINDS if options.estimates else ():
+            good &= estimate(kind, count // 50 if "splines" in kind.name else count // 5, folder)
         program = folder / "long.ngc"
         good &= case("lines", program, write_program(program, PLAIN, count), cpu_s, limit_s)
         if options.whole:

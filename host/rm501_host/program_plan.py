@@ -26,6 +26,8 @@ from rm501_host.program import read_moves
 
 EAGER_MOVES = 5_000
 """Planned in a second or two of CPU; more would keep the operator waiting."""
+_TRUSTED_SHARE = 0.25
+"""When so much of a program has been planned, the rest is taken to be like that."""
 
 
 class PlannedProgram:
@@ -42,6 +44,8 @@ class PlannedProgram:
         self._ahead: deque[Source | LogNote] = deque()
         self._planned_s = 0.0
         self._planned_motion_s = 0.0
+        self._estimate_s: float | None = None
+        self._estimated_moves = 0
         self.preflight = PreflightReport((), 0, False, "not checked yet", 0)
 
     def start(self) -> None:
@@ -74,15 +78,25 @@ class PlannedProgram:
     def duration_s(self) -> float:
         """How long it takes: exact where it is planned, else an estimate of what has been read so far.
 
-        The estimate takes the moves at their feeds and the joints' rates, and once some are planned, it takes all to
-        be like those.
+        At first the estimate is that of `estimate`, if that was asked for, else the moves at their feeds and the
+        joints' rates; what has been planned since counts for more and more of it.
         """
         if self._planned is not None:
             return self._planned_s
         taken, read = self._rolling.taken - len(self._ahead), self._rolling.checked
-        if self._planned_s > 0.0 and taken > 0:
-            return max(self._planned_s, self._planned_s * read / taken)
-        return self._check.nominal_s
+        if self._estimate_s is None:
+            first_s = self._check.nominal_s
+        else:
+            first_s = self._estimate_s * read / max(1, self._estimated_moves)
+        if not (self._planned_s > 0.0 and taken > 0):
+            return first_s
+        trust = 1.0 if self._estimate_s is None else min(1.0, taken / (_TRUSTED_SHARE * read))
+        return max(self._planned_s, trust * self._planned_s * read / taken + (1.0 - trust) * first_s)
+
+    def estimate(self, speed_scale: float) -> None:
+        """Find out about how long a program takes that has not been planned to its end (`preflight.pace`)."""
+        if self._planned is None:
+            self._estimate_s, self._estimated_moves = self._check.estimate_s(speed_scale), self._rolling.checked
 
     @property
     def motion_s(self) -> float:

@@ -25,8 +25,8 @@ from rm501_host.program_plan import PlannedProgram, carry_out_notes
 class Checked:
     """What the preflight of a program found before the start: how long it takes, how far it was checked.
 
-    `duration_s` and `motion_s` are exact for a program that was planned to its end (up to 5,000 moves), an estimate
-    for a longer one.
+    `duration_s` and `motion_s` are exact for a program that was planned to its end (up to 5,000 moves; rests in which
+    play is taken up apart), an estimate from planned stretches for a longer one.
     """
 
     name: str
@@ -74,6 +74,7 @@ class LoadedProgram:
         Raises GcodeError and PlanError naming file and line, RefusedError with every error of the preflight.
         """
         self.plan.start()
+        self.plan.estimate(self._request[3])
         return self.checked_now()
 
     def checked_now(self) -> Checked:

@@ -40,6 +40,7 @@ from .batch import Batch
 from .collector import Collector
 from .findings import Finding, FindingKind, PreflightReport, Severity, Via
 from .keep_out import KeepOut
+from .pace import Pace, still_s
 from .runs import TaskMove, follow_moves
 from .via import suggest_via
 
@@ -75,8 +76,8 @@ def check_program(
     """Check moves from joints `start_deg` (5,) to their end, to the first that depends on the outside world, or to
     `max_moves` (default `[preflight] max_blocks`).
 
-    `estimate`: also plan and segment programs of up to 20,000 moves for their times and the stop horizon. Raises what
-    the stream of moves raises (GcodeError); never PlanError: that is a finding.
+    `estimate`: also plan and segment programs of up to 20,000 moves for their times and the stop horizon, and estimate
+    the time of longer ones. Raises what the stream of moves raises (GcodeError); never PlanError: that is a finding.
     """
     return ProgramCheck(arm, config, start_deg).run(moves, max_moves=max_moves, estimate=estimate)
 
@@ -129,6 +130,12 @@ class ProgramCheck:
         """What the moves checked so far take at their feeds and the largest joint rates, without accelerations."""
         return self._check.nominal_s
 
+    def estimate_s(self, speed_scale: float = 1.0) -> float:
+        """How long the moves checked so far take, at so many times their feeds, within a third: stretches of them
+        are planned, in a second or two of CPU for a long program (`preflight.pace`).
+        """
+        return self._check.pace.estimate_s(self._check.nominal_s, speed_scale)
+
     def take(self, move: Move | Action) -> None:
         """Check one more move: at once, or with the batch that it belongs to."""
         self._check.take(move)
@@ -171,9 +178,11 @@ class ProgramCheck:
             stopped_by = str(error)
         check.flush()
         report = PreflightReport(check.found.findings(), check.line, not stopped_by, stopped_by, count)
-        if estimate and report.ok and count <= MOST_ESTIMATED_MOVES:
+        if not (estimate and report.ok):
+            return report
+        if count <= MOST_ESTIMATED_MOVES:
             return _estimated(report, self._arm, self._config, kept, self._start_deg)
-        return report
+        return replace(report, estimated_s=self.estimate_s())
 
 
 def _estimated(
@@ -213,6 +222,9 @@ class _Check:
         self._margin_mm = 0.0
         self._taken = 0
         self.line = 0
+        self._config = config
+        self._still_s = 0.0
+        self.pace = Pace(config, self._nominal_of)
         self._least_cost = TURNING_COST if arm.frame.has_rpy else 1.0
         self.cost = 0.0
 
@@ -226,6 +238,10 @@ class _Check:
         """Check one move (some are checked when the batch is full)."""
         if move.source.line > self.line:
             self.line = move.source.line
+        if self.pace.wants_to_begin():
+            self.flush()
+            self.pace.begin(self._path.arm, self._path.q_deg, self.nominal_s)
+        self.pace.take(move)
         self.cost += ARC_COST if isinstance(move, ArcMove) else self._least_cost
         if isinstance(move, self._in_runs):
             self._held.append(move)
@@ -283,6 +299,7 @@ class _Check:
                         self._margin_mm = margin_mm
                     return
                 case _:
+                    self._still_s += still_s(self._config, move)
                     return
         except PlanError as error:
             self._refuse(error, move, start_deg, number)
@@ -315,7 +332,14 @@ class _Check:
     @property
     def nominal_s(self) -> float:
         """Time of what was checked, without accelerations."""
-        return self._along.nominal_s
+        return self._along.nominal_s + self._still_s
+
+    def _nominal_of(self, arm: Arm, start_deg: Array, moves: Sequence[Move | Action]) -> float:
+        check = _Check(arm, self._config, start_deg)
+        for move in moves:
+            check.take(move)
+        check.flush()
+        return check.nominal_s
 
     def flush(self) -> None:
         """Check what has been collected."""

@@ -60,6 +60,7 @@ def _as_json(report: PreflightReport) -> dict[str, object]:
         "moves": report.moves,
         "cycle_s": report.cycle_s,
         "motion_s": report.motion_s,
+        "estimated_s": report.estimated_s,
         "stop_horizon_s": report.stop_horizon_s,
         "needed_lead_s": report.needed_lead_s,
         "needed_lead_segments": report.needed_lead_segments,
@@ -81,6 +82,8 @@ def _print(program: Path, report: PreflightReport) -> None:
     ending = "to its end" if report.complete else f"to line {report.checked_to_line} ({report.stopped_by})"
     verdict = "nothing forbids the start" if report.ok else _count(report)
     click.echo(f"{program}: checked {ending}, {report.moves} moves: {verdict}")
+    if report.estimated_s is not None:
+        click.echo(f"  time           about {report.estimated_s:.0f} s, estimated from planned stretches")
     if report.cycle_s is not None:
         click.echo(f"  time           {report.cycle_s:.2f} s, of which {report.motion_s:.2f} s motion")
         click.echo(f"  stop horizon   {report.stop_horizon_s:.3f} s")

@@ -79,7 +79,8 @@ class PreflightReport:
 
     `complete`: the program was checked to its end; else `stopped_by` says why not, and the check goes on rolling
     ahead of the motion from `checked_to_line`. Times are None where there are errors, or where no estimate was asked
-    for. `needed_lead_s`: motion to keep queued; `needed_lead_segments`: in how many segments.
+    for; `estimated_s` stands in for `cycle_s` where a program is too long to be planned. `needed_lead_s`: motion to
+    keep queued; `needed_lead_segments`: in how many segments.
     """
 
     findings: tuple[Finding, ...]
@@ -92,6 +93,7 @@ class PreflightReport:
     stop_horizon_s: float | None = None
     needed_lead_s: float | None = None
     needed_lead_segments: int | None = None
+    estimated_s: float | None = None
     limits: dict[str, float] = field(default_factory=dict)
 
     @property

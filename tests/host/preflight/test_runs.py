@@ -145,6 +145,7 @@ def random_program(rng: random.Random, count: int, arm: Arm = PLAIN_ARM) -> list
             moves.append(LinearMove(words.target(x + 400.0, y, z, a, b), feed, at(line)))
             continue
         elif kind < 0.90:
+            x += 1.0
             wild = words.target(x, y, z, a, b)
             turned = (*wild[:3], wild[3] + rng.choice((0.0, 0.004, 10.0, 175.0, 360.0)), *wild[4:])
             moves.append(LinearMove(turned, feed, at(line)))
