@@ -16,7 +16,7 @@ from rm501_host.gcode.settings import Settings
 from rm501_host.gcode.source import FileLines
 from rm501_host.gcode.user_m import find_user_m, run_user_m
 from rm501_host.kinematics import Arm
-from rm501_host.moves import JointMove, Move, OutputChange, ToolChange
+from rm501_host.moves import ArcMove, JointMove, LinearMove, Move, OutputChange, RapidMove, ToolChange
 from rm501_host.planner.pieces import Action
 
 JointPosition = Callable[[], Sequence[float]]
@@ -103,9 +103,16 @@ def read_moves(
             resolver.set_position(position)
 
         stand()
+        is_c_unheard = config is not None and config.machine.coordinates == "XYZAB"
         for move in with_notes_between(resolve(interpreter.calls(), options, resolver=resolver), notes):
             if isinstance(move, OutputChange) and config is not None:
                 _check_output(move, len(config.board.digital_outputs))
+            if is_c_unheard and isinstance(move, RapidMove | LinearMove | ArcMove) and move.target[5] != 0.0:
+                is_c_unheard = False  # told once
+                warn(
+                    f"{move.source}: warning: C has no effect, [machine] coordinates is XYZAB (A pitch, B roll); "
+                    "leave C out, or use XYZABC"
+                )
             yield move
             if isinstance(move, ToolChange):
                 arm = arm.with_tool(move.length_mm, move.offset_mm)

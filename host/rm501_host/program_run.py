@@ -24,7 +24,7 @@ from rm501_host.gcode.resolve import ExternalAction
 from rm501_host.gcode.user_m import UserMCodeError
 from rm501_host.kinematics import Arm
 from rm501_host.motion import Homing, MotionStream, PieceRuns, Progress
-from rm501_host.moves import Message, Pause, ProgramEnd
+from rm501_host.moves import InputWait, Message, Pause, ProbeMove, ProgramEnd
 from rm501_host.planner import Limits, Piece, Plan
 from rm501_host.preflight import ProgramFault
 from rm501_host.program import run_external
@@ -237,10 +237,13 @@ async def _act(mark: Piece, config: Config, watcher: Watcher) -> bool:
             watcher.message(f"{source}: {kind.value} passed without a pause: nobody is there to continue it")
         case move:
             raise StoppedError(
-                f"{mark.source}: {type(move).__name__} needs an operator or inputs; the arm stands at rest before it; "
-                "run the program in the daemon: rm501-host serve, then send"
+                f"{mark.source}: {_WORDS.get(type(move), 'this')} needs an operator or inputs; the arm stands at rest "
+                "before it; run the program in the daemon: rm501-host serve, then send"
             )
     return True
+
+
+_WORDS: dict[type[object], str] = {InputWait: "waiting for an input (M66)", ProbeMove: "probing (G38)"}
 
 
 class _NoiseTeller:

@@ -88,6 +88,18 @@ def test_what_is_no_program_is_refused_in_words(
     assert words in said
 
 
+def test_a_word_without_effect_is_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    program = tmp_path / "turn.ngc"
+    program.write_text(GOOD.replace("Y60", "Y60 C20").replace("Y-60", "Y-60 C30"))
+    code, said = answer("check", program, capsys)
+    assert code is ExitCode.OK
+    assert said.count("C has no effect") == 1
+    assert "turn.ngc:7: warning: C has no effect" in said
+    thesis = str(REPOSITORY / "configs" / "thesis.toml")
+    assert "C has no effect" not in answer("check", REPOSITORY / "examples" / "pick_and_place.ngc", capsys)[1]
+    assert "C has no effect" not in answer("check", program, capsys, "--config", thesis)[1]
+
+
 def test_plan_reads_a_program_as_check_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "arm.toml"
     text = (REPOSITORY / "configs" / "rm501.toml").read_text()
