@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -77,3 +78,12 @@ def test_check_of_a_good_program(tmp_path: Path) -> None:
     assert report["ok"] and report["complete"]
     assert report["checked_to_line"] == 8
     assert report["needed_lead_s"] > report["stop_horizon_s"] > 0.0
+
+
+@pytest.mark.parametrize("command", [plan_command, check_command])
+def test_a_start_out_of_range_blames_the_option_not_the_program(tmp_path: Path, command: click.Command) -> None:
+    program = tmp_path / "p.ngc"
+    program.write_text(PROGRAM)
+    result = CliRunner().invoke(command, [str(program), "--start", "0,80,-120,10,0"], obj=context(tmp_path))
+    assert result.exit_code == 2
+    assert "--start: the elbow cannot start at -120 deg" in result.output
