@@ -62,7 +62,7 @@ class ProgramParams(Params, frozen=True):
 
 @api.method("program.check", ProgramParams, Access.FULL, result='{"duration_s": float, "complete": bool, ...}')
 async def _program_check(client: Client, params: ProgramParams) -> object:
-    """Interpret and plan a program from where the arm is; nothing moves."""
+    """Interpret and plan a program from where the arm is; nothing moves. Refused while a motion is under way."""
     checked = await client.service.programs.load(params.name, line=params.line, speed=params.speed)
     return {
         "name": checked.name,

@@ -4,8 +4,8 @@
 runs at most one motion (`Job`) at a time. Requests come in through the methods; those that move the arm return a
 job at once. STOP, KILL and HOLD wait for nothing.
 
-The state changes through `_apply` only, by the table in `states`. Whatever the board does by itself (a hold button, a
-low queue, a fault, a restart) arrives as a notice and is turned into events there.
+The state changes through `Condition.apply` only. Whatever the board does by itself (a hold button, a low queue, a
+fault, a restart) arrives as a notice and is turned into events (`following`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from rm501_host.blackbox import BlackBox
@@ -29,11 +28,13 @@ from rm501_host.kinematics import Arm
 from rm501_host.machine import causes
 from rm501_host.machine.arm_state import ArmState
 from rm501_host.machine.board_port import BoardPort
+from rm501_host.machine.condition import Condition
+from rm501_host.machine.following import events_of
 from rm501_host.machine.jobs import Job, JobBook, JobKind
 from rm501_host.machine.lease import MotionLease, Owner
 from rm501_host.machine.limits import RuntimeLimits
 from rm501_host.machine.settling import REST_TIMEOUT_S, settle
-from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe, next_state
+from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe
 from rm501_host.motion import MotionStream
 from rm501_host.session import BoardSession, ContradictionError, LinkLostError
 from rm501_host.session.board_session import Notice
@@ -87,8 +88,8 @@ class Machine:
         self.log = parts.log
         self.black_box = parts.black_box
         self.arm_state = ArmState(self.arm, config, parts.position_file, parts.utc)
-        self.state = MachineState.ESTOP
-        self._causes = causes.Causes()
+        self._condition = Condition(parts.log, parts.black_box, lambda: self.board_status)
+        self._causes = self._condition.causes
         self.mode = Mode.MANUAL
         self.override = 1.0
         self.plan_scale = 1.0
@@ -157,6 +158,11 @@ class Machine:
         return f"{cause.text}; {cause.remedy}"
 
     @property
+    def state(self) -> MachineState:
+        """What the machine is in."""
+        return self._condition.state
+
+    @property
     def cause(self) -> causes.Cause | None:
         """Why the machine is in ESTOP or OFF, None when nothing is wrong."""
         return self._causes.shown
@@ -195,7 +201,7 @@ class Machine:
 
     def write_log(self, kind: str, **data: object) -> None:
         """One record for the log and the black box."""
-        self.black_box.add("log", self.log.write(kind, **data).encode().rstrip())
+        self._condition.write_log(kind, **data)
 
     @property
     def planning_start_deg(self) -> tuple[float, ...]:
@@ -253,7 +259,10 @@ class Machine:
     # --------------------------------------------------------------------- what the owner may do
 
     async def resume(self, who: Owner) -> None:
-        """Go on after a hold, a pause of the program, or a single block."""
+        """Go on after a hold, a pause of the program, or a single block.
+
+        Raises LeaseHeldError while somebody else keeps the lease, RefusedError where nothing is held, NoBoardError.
+        """
         self.lease.require_control(who)
         if self.waiting_for:
             self.write_log("continue", who=who.name, after=self.waiting_for)
@@ -270,7 +279,11 @@ class Machine:
         )
 
     async def abort(self, who: Owner) -> bool:
-        """End the motion on its path, motors held, position trusted; False when there is none."""
+        """End the motion on its path, motors held, position trusted; False when there is none.
+
+        Raises LeaseHeldError while somebody else keeps the lease, NoBoardError, StoppedError when the motion has not
+        ended in time.
+        """
         self.lease.require_control(who)
         job = self.job
         if job is None:
@@ -290,8 +303,10 @@ class Machine:
             ) from None
 
     async def set_override(self, ratio: float, who: Owner) -> None:
-        """Feed override 0..2, along the path. Up to 1 at once; above it a program is planned anew for higher feeds, and
-        every other motion stays at 1.
+        """Feed override `ratio`, 0 to 2 (1: as programmed), along the path. Up to 1 at once; above it a program is
+        planned anew for higher feeds, and every other motion stays at 1.
+
+        Raises LeaseHeldError while somebody else keeps the lease, RefusedError outside 0 to 2, NoBoardError.
         """
         self.lease.require_control(who)
         if not 0.0 <= ratio <= HIGHEST_OVERRIDE:
@@ -359,7 +374,11 @@ class Machine:
             await self._power_on(session)
 
     async def power_off(self, who: Owner) -> None:
-        """Motor power off at rest. Where the line is fitted the arm sinks and the position is trusted no longer."""
+        """Motor power off at rest. Where the line is fitted the arm sinks and the position is trusted no longer.
+
+        Raises LeaseHeldError while somebody else keeps the lease, RefusedError unless the machine is OFF or IDLE,
+        NoBoardError, BoardRefusedError.
+        """
         self.lease.require_control(who)
         if self.state is MachineState.OFF:
             return
@@ -605,56 +624,25 @@ class Machine:
         """Take the board's state over into the machine's."""
         if self.state.task is not TaskState.ON:
             return
-        state = status.state
-        if state is BoardState.FAULT:
+        if status.state is BoardState.FAULT:
             self._fault(causes.board_fault(FaultCode(status.fault)), FaultCode(status.fault).name)
-        elif state in (BoardState.IDLE, BoardState.BOOT):
-            self._power_is_off()
-        elif self.state is MachineState.STOPPING or self.waiting_for:
             return
-        elif state in (BoardState.HOLDING, BoardState.HELD) and self.job is not None:
-            if self.state is MachineState.RUNNING:
-                self._apply(Event.HOLD)
-            if state is BoardState.HELD and self.state is MachineState.HOLDING:
-                self._apply(Event.AT_REST)
-        elif state in (BoardState.RUNNING, BoardState.READY) and self.state in (
-            MachineState.HOLDING,
-            MachineState.HELD,
-        ):
-            self._apply(Event.RESUME)
-
-    def _power_is_off(self) -> None:
-        """The board is without motor power: after a stop, or because it was alone or idle for long."""
-        if self.state is not MachineState.STOPPING:
-            if self.state is MachineState.IDLE:
-                self._apply(Event.POWER_OFF)
-                self._causes.add(causes.POWERED_OFF)
-                return
-            self._apply(Event.STOP)
-        self._causes.add(causes.POWERED_OFF)
-        self._apply(Event.STOPPED)
+        events = events_of(status.state, self.state, has_job=self.job is not None, is_waiting=bool(self.waiting_for))
+        for event in events:
+            self._apply(event)
+        if self.state is MachineState.OFF:
+            self._causes.add(causes.POWERED_OFF)
 
     def _fault(self, cause: causes.Cause, reason: str) -> None:
-        is_news = self._causes.add(cause)
         self._continue.set()
         if self.state is not MachineState.ESTOP:
             self._apply(Event.FAULT)
-        if is_news:
-            self.write_log("estop", cause=cause.text, remedy=cause.remedy)
-            path = self.black_box.dump(reason)
-            if path is not None:
-                self.write_log("black_box", path=str(path))
+        self._condition.tell(cause, reason)
 
     def _apply(self, event: Event) -> None:
-        before = self.state
-        self.state = next_state(before, event)
+        self._condition.apply(event)
         if self.state.task is not TaskState.ON and self.job is not None:
             self._loop.call_later(_NOTICE_S, self._end_job, self.job)
-        if self.state is not before:
-            self.write_log("state", before=describe(before), after=describe(self.state), event=event.value)
-            status = self.board_status
-            if status is not None:
-                self.black_box.add("status", msgspec.json.encode(status, enc_hook=str))
 
     def stopped_by_lease(self) -> bool:
         """Whether the newest end of motion was the end of a jog's lease."""

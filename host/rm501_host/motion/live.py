@@ -143,7 +143,9 @@ class LivePath:
     # --------------------------------------------------------------------------------------------- what is played
 
     def begin(self, pieces: Iterable[Piece]) -> None:
-        """The next run of the program, from rest to a mark or the end."""
+        """The next run of the program, from rest to a mark or the end. Plans nothing; the pieces may raise PlanError as
+        they are taken.
+        """
         self._source.follow_with(pieces)
         self._now = self._generation(Place(self._source.count))
         self._goal, self._goal_before = self._wish, None
@@ -154,7 +156,7 @@ class LivePath:
         self._goal, self._goal_before = self._wish, None
 
     def __iter__(self) -> Iterator[Piece]:
-        """The pieces of the newest generation, planned as they are taken."""
+        """The pieces of the newest generation, planned as they are taken; raises PlanError."""
         for played in self._now.played():
             yield played.piece
 
@@ -199,7 +201,7 @@ class LivePath:
         return law is not None and self._time_in(planned) < law.duration_s
 
     def respeeded(self, planned: PlannedSegment) -> Iterator[Piece]:
-        """The pieces of a faster law from the start of this segment."""
+        """The pieces of a faster law from the start of this segment (a motion frame); plans, raises PlanError."""
         number = self._now.number_of(planned.piece)
         assert number is not None
         played = self._now.get(number)
@@ -232,7 +234,9 @@ class LivePath:
     # ------------------------------------------------------------------------------------------- places on the path
 
     def place(self, planned: PlannedSegment, frame: int) -> Place | None:
-        """The place on the source at a motion frame of a segment; None for segments that are not of this path."""
+        """The place on the source at a motion frame (absolute, never wrapping) of a segment; None for segments that are
+        not of this path.
+        """
         played = self._played(planned)
         if played is None:
             return None
@@ -240,11 +244,11 @@ class LivePath:
         return place_at(self._known, played, min(max(0.0, time_s), played.piece.duration_s))
 
     def time_s(self, place: Place) -> float:
-        """Plan time at 100 %."""
+        """Plan time of a place at 100 %, s."""
         return plan_time(self._known, place)
 
     def end(self) -> Place:
-        """The end of what has been planned so far."""
+        """The place at the end of what has been planned so far."""
         number = self._source.count - 1
         return Place(number, *self._whole(number))
 
