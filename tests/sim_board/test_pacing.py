@@ -32,6 +32,7 @@ def _run(query: str) -> tuple[list[tuple[int, str, bytes]], str, str]:
         options = RunOptions(f"emu://paced?{query}", True, lambda: 7, lambda *tap: wire.append(tap))
         result = await run_program(PROGRAM, load_config(CONFIG), options, _Silent())
         running_board("paced").board.run_to_now()
+        running_board("paced").truth()  # up to now, also where the last ticks were left out
         words = running_board("paced").emulator.recording.pin_hash
         shut_down("paced")
         return wire, words, result.report.result
