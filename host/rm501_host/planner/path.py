@@ -105,6 +105,7 @@ class PathBuilder:
         self.task = task_values(self.arm, self._q_deg)
         self.rpy_deg = self._orientation()
         self._angles: tuple[float, float] | None = None
+        self._angles_taken = (0.0, 0.0)
 
     def go_on(self, q_deg: Array, task: Array, rpy_deg: tuple[float, float, float] | None = None) -> None:
         """The path goes on from the end of moves that somebody else has followed on this branch: joints (5,), task
@@ -289,7 +290,7 @@ class PathBuilder:
     def _task_of(self, target: Target, source: Source) -> Array:
         """x, y, z, pitch, roll (5,) in the base frame of a target in the program frame."""
         a, b = target[3], target[4]
-        if self._angles == (a, b):
+        if self._angles == (a, b) and self._angles_taken == (float(self.task[3]), float(self.task[4])):
             # literal pitch and roll that stay: so does the turn in which they are taken
             end = np.empty(5)
             end[:3] = self.arm.frame.base_from_program(np.array(target[:3]))
@@ -300,7 +301,8 @@ class PathBuilder:
         except KinematicsOrientationError as error:
             raise OrientationError(str(error), source=source, amount=error.residual_deg) from error
         if not self.arm.frame.has_rpy:
-            self._angles = a, b
+            # a move that is refused in the end does not get there: then these are not the task's
+            self._angles, self._angles_taken = (a, b), (float(pose.pitch_deg), float(pose.roll_deg))
         return np.array([*pose.xyz_mm, pose.pitch_deg, pose.roll_deg])
 
     def _with_feed(self, element: Element, feed: Feed) -> Element:
