@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -145,7 +146,6 @@ def random_program(rng: random.Random, count: int, arm: Arm = PLAIN_ARM) -> list
             moves.append(LinearMove(words.target(x + 400.0, y, z, a, b), feed, at(line)))
             continue
         elif kind < 0.90:
-            x += 1.0
             wild = words.target(x, y, z, a, b)
             turned = (*wild[:3], wild[3] + rng.choice((0.0, 0.004, 10.0, 175.0, 360.0)), *wild[4:])
             moves.append(LinearMove(turned, feed, at(line)))
@@ -169,10 +169,15 @@ def random_program(rng: random.Random, count: int, arm: Arm = PLAIN_ARM) -> list
     return moves
 
 
+def literal(text: str) -> str:
+    """Without the whole turns in which a pitch that nobody reaches is told."""
+    return re.sub(r"pitch (-?[0-9.]+) deg cannot", lambda m: f"pitch {float(m[1]) % 360.0:.1f} deg cannot", text)
+
+
 def alike(first: Finding, second: Finding) -> bool:
     """Equal but for what rounding may do to the place, the joints and the amount."""
-    if (first.severity, first.kind, first.source, first.text, first.remedy, first.count) != (
-        second.severity, second.kind, second.source, second.text, second.remedy, second.count,
+    if (first.severity, first.kind, first.source, literal(first.text), first.remedy, first.count) != (
+        second.severity, second.kind, second.source, literal(second.text), second.remedy, second.count,
     ):  # fmt: skip
         return False
     assert (first.via is None) == (second.via is None)
