@@ -1,11 +1,15 @@
 """Draws `sim-board-swapped-select.svg` from the VCD of the worked example in `docs/sim-board.md`.
 
-python docs/figures/sim_board.py swap.vcd
+python docs/figures/sim_board.py [folder]
+
+The example is run first, from its command line; it has to end as the page says.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import matplotlib
@@ -14,6 +18,9 @@ matplotlib.use("svg")
 import matplotlib.pyplot as plt
 from vcdvcd import VCDVCD
 
+REPOSITORY = Path(__file__).resolve().parents[2]
+FAULT = "swap:line=elbow_select,with=waist_select"
+TOLD = "homing waist: stopped: the board stopped the arm: the up/down counter of a driver board overflowed"
 ROWS = (
     "pins.STROBE",
     "pins.STEP_1",
@@ -24,6 +31,16 @@ ROWS = (
     "lines.STROBE_724",
     "lines.STEP_1",
 )
+
+
+def record(vcd: Path) -> None:
+    """Run the worked example, which records its pins."""
+    command = [sys.executable, "-m", "rm501_host", "--config", "configs/thesis.toml"]
+    command += ["--port", f"emu://?fault={FAULT}&vcd={vcd}"]
+    command += ["run", "examples/pick_and_place.ngc", "--speed", "max"]
+    result = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    if TOLD not in result.stderr:
+        sys.exit(f"the worked example ended otherwise than docs/sim-board.md says: {result.stderr}")
 
 
 def draw(vcd: Path, picture: Path) -> None:
@@ -49,6 +66,15 @@ def draw(vcd: Path, picture: Path) -> None:
     figure.savefig(picture, metadata={"Date": None})
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run the example, draw its picture into the folder of the command line, or beside this file."""
     plt.rcParams["svg.hashsalt"] = "rm501"
-    draw(Path(sys.argv[1]), Path(__file__).with_name("sim-board-swapped-select.svg"))
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
+    with tempfile.TemporaryDirectory() as scratch:
+        vcd = Path(scratch) / "swap.vcd"
+        record(vcd)
+        draw(vcd, folder / "sim-board-swapped-select.svg")
+
+
+if __name__ == "__main__":
+    main()
