@@ -1,6 +1,6 @@
 """The figure of overshoot in docs/planning.md: python docs/figures/overshoot.py [folder].
 
-It draws docs/figures/overshoot.json, which `python -m benchmarks.overshoot --jerk 0.5 1 2 --save ...` writes.
+It draws docs/figures/overshoot.json, which `python -m benchmarks.overshoot --jerk 2 1 0.5 --save ...` writes.
 """
 
 from __future__ import annotations
