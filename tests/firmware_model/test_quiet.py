@@ -7,7 +7,7 @@ import pytest
 from rm501_firmware_model import Board, FastBoard
 from rm501_protocol.enums import BoardState, SegmentFlag
 from rm501_protocol.host_link import HostLink
-from rm501_protocol.messages import Hold, SetStatusPeriod, Start, StatusRequest
+from rm501_protocol.messages import Hold, Lease, SetStatusPeriod, Start, StatusRequest
 from rm501_protocol.segment_message import MotorTerm, Segment
 from tests.firmware_model.rig import RecordingPins, Rig
 
@@ -69,6 +69,29 @@ def test_a_moving_and_a_holding_board_keep_their_promises() -> None:
     rig.send(Hold())
     said(rig, 3000)
     assert rig.state in (BoardState.HELD, BoardState.HOLDING)
+
+
+def test_the_end_of_a_lease_bounds_the_promise_at_once() -> None:
+    """A promise made right behind the message that gives the lease, before the timers have been looked at."""
+    ends = []
+    for kind in (FastBoard, Board):
+        rig = Rig(board=kind)
+        rig.send(
+            Lease(50),
+            Segment(0, 400, (MotorTerm(0, 0, 8000),), SegmentFlag.JOG),
+            Segment(
+                400, 400, (MotorTerm(0, 400 * (8000 << 8) >> 16, -8000),), SegmentFlag.JOG | SegmentFlag.ENDS_AT_REST
+            ),
+            Start(),
+        )
+        rig.run_to(BoardState.RUNNING)
+        rig.send(Lease(50))
+        lease_end = rig.board.frame + -(-50_000 // rig.board.frame_us)
+        assert rig.board.quiet_until() <= lease_end
+        heard = said(rig, 400)
+        ends.append(heard)
+        assert lease_end <= heard[0][0] <= lease_end + 1
+    assert ends[0] == ends[1]
 
 
 def test_a_changing_input_and_the_reference_promise_nothing() -> None:
