@@ -17,7 +17,10 @@ SHORT: dict[str, tuple[str, ...]] = {
     "planner": (),
     "overshoot": ("--program", "waist by 60 deg"),
     "backlash": ("--no-emulator",),
+    "long_program": ("--n", "1e4"),
     "live_path": ("--n", "10"),
+    "jogs": ("--n", "10"),
+    "lying_board": ("--lies", "position,mixed"),
     "clock_sync": ("--n", "2000"),
     "fuzz_frames": ("--n", "1e5"),
     "soak": ("--hours", "0.2", "--stops", "200"),
@@ -29,6 +32,22 @@ SHORT: dict[str, tuple[str, ...]] = {
 }
 """Benchmarks and the options with which they take seconds, not minutes."""
 
+LEFT_OUT: dict[str, str] = {
+    "avr": "needs avr-gcc and simavr, which no virtual environment holds; exits 2 without them",
+    "commission": "plays a person at a terminal in real time; the tests of the operator's commands do the same",
+}
+"""Benchmarks of their own that do not run with the others, and why not."""
+
+PARTS: dict[str, str] = {
+    "daemon_soak": "daemon",
+    "daemon_takeaways": "daemon",
+    "emulator_accuracy": "emulator",
+    "fault_scenarios": "faults",
+    "program_texts": "long_program",
+    "starts": "jogs",
+}
+"""Modules that are no benchmarks: parts of one, which prints what they measure."""
+
 
 def main() -> int:
     """Run the chosen ones; their tables are shown with --verbose or when they fail."""
@@ -38,6 +57,9 @@ def main() -> int:
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(SHORT)
     if unknown:
+        reasons = [f"{name} ({LEFT_OUT[name]})" for name in sorted(unknown & set(LEFT_OUT))]
+        if reasons:
+            parser.error(f"run these alone, as python -m benchmarks.NAME: {', '.join(reasons)}")
         parser.error(f"no such benchmark: {', '.join(sorted(unknown))}")
     failed = []
     for name in arguments.names or SHORT:

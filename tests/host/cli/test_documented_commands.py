@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import pytest
 
+from benchmarks.__main__ import LEFT_OUT, PARTS, SHORT
 from rm501_host.cli.main import cli
 from rm501_sim_board.cli import main as sim_board
 from tests.support.virtual_machine import REPOSITORY
@@ -110,3 +111,18 @@ def test_pages_and_figures_that_are_linked_exist(page: Path) -> None:
 def test_every_page_is_listed() -> None:
     listed = (REPOSITORY / "docs" / "README.md").read_text() + (REPOSITORY / "docs" / "adr" / "README.md").read_text()
     assert [page.name for page in PAGES if page.name != "README.md" and f"({page.name})" not in listed] == []
+
+
+def test_every_benchmark_runs_with_the_others_or_says_why_not() -> None:
+    folder = REPOSITORY / "benchmarks"
+    modules = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__main__.py")}
+    alone = {path.stem for path in folder.glob("*.py") if 'if __name__ == "__main__"' in path.read_text()} | {"avr"}
+    assert modules - {"__init__", "__main__"} == {*SHORT, *LEFT_OUT, *PARTS}
+    assert alone - {"__main__"} == {*SHORT, *LEFT_OUT}
+    for part, whole in PARTS.items():
+        assert re.search(rf"\b{part}\b", (folder / f"{whole}.py").read_text()), part
+
+
+def test_every_benchmark_is_listed_with_what_it_prints() -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", (REPOSITORY / "docs" / "benchmarks.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted({*SHORT, *LEFT_OUT})
