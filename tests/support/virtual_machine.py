@@ -31,10 +31,14 @@ async def running_service(
     url: str = "emu://?preset=ideal&seed=1",
     config: Config | None = None,
     on_transport: Callable[[Transport], Transport] = lambda transport: transport,
+    seed: int = 7,
 ) -> AsyncIterator[Service]:
-    """A service whose machine runs and is connected; ended, with everything cancelled, on the way out."""
+    """A service whose machine runs and is connected; ended, with everything cancelled, on the way out.
+
+    `seed`: another one for every service that meets the same board, whose sessions would else have the same nonces.
+    """
     loop = asyncio.get_running_loop()
-    randomness = random.Random(7)
+    randomness = random.Random(seed)
 
     async def opened() -> Transport:
         return on_transport(await open_transport(url))

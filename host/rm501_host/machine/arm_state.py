@@ -2,7 +2,7 @@
 
 The board says which motors' counts are trusted. The host may trust that only when it is the same boot and the same
 configuration under which those counts were defined: the position file remembers both. Otherwise every joint counts as
-unhomed until it has homed again.
+unhomed until it has homed again; the file remembers that, too, for whoever reads it next.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from rm501_protocol.messages import Identify, Status
 _ARM_MOTORS = 0b11111
 _WRIST_MOTORS = 0b11000
 _PLACES = (*JOINT_NAMES, *(f"{name} motor" for name in MOTOR_NAMES[3:]))
+_EVERY_JOINT = frozenset(range(len(JOINT_NAMES)))
 _UNKNOWN_STEPS = (0, 0, 0, 0, 0, 0)
 
 
@@ -62,8 +63,6 @@ class ArmState:
         record = self._file.read()
         self._vetoed = set()
         play = self._take_over_offsets(record, identify, status)
-        if not status.trusted_mask & _ARM_MOTORS:
-            return "the board trusts no position: home every joint"
         reason = None
         if identify.boot_id == self._contradicted_boot:
             reason = "the board has contradicted itself since it was switched on"
@@ -73,10 +72,18 @@ class ArmState:
             reason = "the position file belongs to another boot of the board"
         elif record.config_hash != self._digest:
             reason = "the position file belongs to another configuration"
-        if reason is None:
-            return f"same boot, same configuration: the joints that the board trusts stay homed{play}"
-        self._vetoed = set(range(len(JOINT_NAMES)))
-        return f"{reason}: nothing is trusted, home every joint"
+        else:
+            self._vetoed = set(record.vetoed) & _EVERY_JOINT
+        if reason is not None:
+            self._vetoed = set(_EVERY_JOINT)
+        if not status.trusted_mask & _ARM_MOTORS:
+            return "the board trusts no position: home every joint"
+        if reason is not None:
+            return f"{reason}: nothing is trusted, home every joint"
+        if self._vetoed:
+            names = ", ".join(JOINT_NAMES[joint] for joint in sorted(self._vetoed))
+            return f"same boot and configuration, but not trusted before and not homed since: {names}; home them{play}"
+        return f"same boot, same configuration: the joints that the board trusts stay homed{play}"
 
     def _take_over_offsets(self, record: PositionRecord | None, identify: Identify, status: Status) -> str:
         """Set the offsets from the file if it says where the arm still stands; what to say when they are not known."""
@@ -107,6 +114,7 @@ class ArmState:
     def contradicted(self) -> None:
         """The board reported what cannot be: until it boots again, or every joint is homed, nothing is trusted."""
         self._contradicted_boot = self._boot_id
+        self._vetoed = set(_EVERY_JOINT)
 
     def joint_homed(self, joint: int) -> None:
         """This joint has homed in this session: from here on the board's trust in it counts."""
@@ -158,6 +166,7 @@ class ArmState:
                 config_hash=self._digest,
                 positions_steps=self.steps,
                 homed=self.homed,
+                vetoed=tuple(sorted(self._vetoed)),
                 hand=self.hand,
                 utc=self._utc(),
                 leads_deg=self.leads_deg,

@@ -587,6 +587,8 @@ class Machine:
     def _link_down(self, error: Rm501Error) -> None:
         if isinstance(error, ContradictionError):
             self.arm_state.contradicted()
+            if self._tasks is not None:
+                self._tasks.create_task(self._save(dirty=True))
         was_up = self._port.session is not None
         if was_up or self.state is not MachineState.ESTOP:
             self.stream = None

@@ -1,8 +1,8 @@
 """The position file: what the last process knew about the arm, marked dirty while anything moves.
 
 A clean file says where the arm stood when it came to rest, on which boot of the board, under which configuration. It
-never makes a joint homed by itself: the board's own trust and its boot id decide; a dirty or unreadable file, another
-boot or another configuration means that nothing is trusted.
+never makes a joint homed by itself: the board's own trust and its boot id decide; no readable file, another boot or
+another configuration means that nothing is trusted, and stays so in the files that follow (`vetoed`) until it homes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from rm501_host.storage.atomic import StorageError, write_atomic
 class PositionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The file's content. `dirty`: motion was under way when it was written; positions are then where it began.
 
-    `leads_deg`: how much of the positions is play taken up, at the seven places of play (`planner.limits`).
+    `vetoed`: joints (0 to 4) that the board may trust and the host does not until they have homed. `leads_deg`: how
+    much of the positions is play taken up, at the seven places of play (`planner.limits`).
     """
 
     version: int = 1
@@ -28,6 +29,7 @@ class PositionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     homed: tuple[bool, ...]
     hand: str
     utc: str
+    vetoed: tuple[int, ...] = ()
     leads_deg: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 

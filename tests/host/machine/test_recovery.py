@@ -17,7 +17,9 @@ from rm501_host.session import LinkLostError
 from rm501_host.virtual_time import VirtualLoop, run_virtual
 from rm501_protocol.enums import BoardState
 from rm501_protocol.link_events import StopKind
+from rm501_protocol.transport import Transport
 from rm501_sim_board.emu_transport import running_board, shut_down
+from tests.support.lying_line import Lie, LyingLine
 from tests.support.virtual_machine import ME, homed, running_service
 
 START = (0.0, 60.0, -60.0, 60.0, 0.0)
@@ -169,6 +171,56 @@ def test_another_configuration_is_not_believed(tmp_path: Path) -> None:
             (tmp_path / "position.json").write_text("{}")
             assert "no usable position file" in machine.arm_state.connected(identify, status)
             assert machine.arm_state.homed == (False,) * 5
+
+    virtual(scenario())
+
+
+def test_what_is_not_trusted_stays_so_for_the_next_daemon_until_it_has_homed(tmp_path: Path) -> None:
+    """Homing one joint writes the file anew, for this boot and configuration: the others are still not trusted."""
+    url = "emu://vetoed?preset=ideal&seed=1"
+
+    async def scenario() -> None:
+        async with running_service(tmp_path, url) as service:
+            await homed(service)
+        (tmp_path / "position.json").unlink()
+        async with running_service(tmp_path, url, seed=8) as service:
+            await service.machine.reset(ME)
+            assert service.machine.arm_state.homed == (False,) * 5
+            await operations.home(service.machine, ME, ("waist",)).wait()
+        for seed in (9, 10):
+            async with running_service(tmp_path, url, seed=seed) as service:
+                assert service.machine.arm_state.homed == (True, False, False, False, False)
+        async with running_service(tmp_path, url, seed=11) as service:
+            machine = service.machine
+            await machine.reset(ME)
+            await operations.home(machine, ME, machine.arm_state.unhomed()).wait()
+        async with running_service(tmp_path, url, seed=12) as service:
+            assert service.machine.arm_state.homed == (True,) * 5
+        shut_down("vetoed")
+
+    virtual(scenario())
+
+
+def test_a_board_that_contradicted_itself_is_not_trusted_by_the_next_daemon_either(tmp_path: Path) -> None:
+    url = "emu://contradicted?preset=ideal&seed=1"
+    lines: list[LyingLine] = []
+
+    def lying(transport: Transport) -> Transport:
+        lines.append(LyingLine(transport, 4, (Lie.POSITION,), 1.0))
+        return lines[-1]
+
+    async def scenario() -> None:
+        async with running_service(tmp_path, url, on_transport=lying) as service:
+            machine = service.machine
+            await homed(service)
+            lines[0].is_lying = True
+            await asyncio.sleep(0.5)
+            assert machine.cause is not None and "contradicts itself" in machine.cause.text
+            await asyncio.sleep(2.0)
+            assert machine.connected and machine.arm_state.homed == (False,) * 5
+        async with running_service(tmp_path, url, seed=8) as service:
+            assert service.machine.arm_state.homed == (False,) * 5
+        shut_down("contradicted")
 
     virtual(scenario())
 
