@@ -65,6 +65,11 @@ class PlannedProgram:
         return self._planned is None or any(piece.motion_s for piece in self._planned)
 
     @property
+    def waits_for(self) -> Move | Action | None:
+        """The input or the probe on which depends what comes after it; None where the check came to none."""
+        return self._rolling.waits_for
+
+    @property
     def checked_to_line(self) -> int:
         """The highest line that has been checked."""
         return self._rolling.checked_to_line
@@ -212,15 +217,16 @@ def check_and_plan(
     config: Config,
     start_deg: tuple[float, ...],
     on_warning: Callable[[str], None] | None = None,
+    watched: Callable[[Iterator[Move | Action]], Iterator[Move | Action]] = lambda moves: moves,
 ) -> PlannedProgram:
-    """Check `program` from joints `start_deg` (5,) and plan it.
+    """Check `program` from joints `start_deg` (5,) and plan it; its moves are read through `watched`.
 
     Raises GcodeError and PlanError naming file and line, RefusedError with every error of the preflight, or where
     nothing moves.
     """
     check = ProgramCheck(arm, config, start_deg)
     moves = read_moves(program, arm, lambda: check.q_deg.tolist(), on_warning, config=config, with_notes=True)
-    rolling = RollingCheck(check, moves, config.preflight.max_blocks, on_warning)
+    rolling = RollingCheck(check, watched(moves), config.preflight.max_blocks, on_warning)
     planned = PlannedProgram(rolling, check, Planner(arm, config, start_deg))
     planned.start()
     if on_warning is not None:

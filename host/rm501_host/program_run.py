@@ -11,7 +11,7 @@ trusted arm stands); `program_plan` says how.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -24,11 +24,13 @@ from rm501_host.gcode.resolve import ExternalAction
 from rm501_host.gcode.user_m import UserMCodeError
 from rm501_host.kinematics import Arm
 from rm501_host.motion import Homing, MotionStream, PieceRuns, Progress
-from rm501_host.moves import InputWait, Message, Pause, ProbeMove, ProgramEnd
+from rm501_host.moves import InputWait, Message, Move, Pause, ProbeMove, ProgramEnd
 from rm501_host.planner import Limits, Piece, Plan
+from rm501_host.planner.pieces import Action
 from rm501_host.preflight import ProgramFault
 from rm501_host.program import run_external
 from rm501_host.program_plan import PlannedProgram, carry_out_notes, check_and_plan
+from rm501_host.reading import tell_while_reading
 from rm501_host.report import RunReport, WireFigures
 from rm501_host.session import BoardRefusedError, BoardSession, open_session
 from rm501_host.session.board_session import Notice, WireTap, noise_text
@@ -84,10 +86,19 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
     arm = Arm.from_config(config)
     session: BoardSession | None = None
     planned: PlannedProgram | None = None
+
+    def watched(moves: Iterator[Move | Action]) -> Iterator[Move | Action]:
+        def tell(line: int, count: int) -> None:
+            if planned is None:  # afterwards the motion shows itself
+                watcher.phase(f"checking line {line}, {count} moves so far")
+
+        return moves if options.wall_clock_s is None else tell_while_reading(moves, tell, options.wall_clock_s)
+
     try:
         if options.home:
             watcher.phase("planning")
-            planned = check_and_plan(program, arm, config, config.home_deg, watcher.message)
+            planned = check_and_plan(program, arm, config, config.home_deg, watcher.message, watched)
+            _refuse_what_waits(planned)
             session = await _connect(config, options, watcher)
         else:
             session = await _connect(config, options, watcher)
@@ -100,14 +111,27 @@ async def run_program(program: Path, config: Config, options: RunOptions, watche
             start_deg = _trusted_position(session, arm)
             # away from the loop: a board that hears nothing for a second takes its host for gone
             planned = await asyncio.get_running_loop().run_in_executor(
-                None, lambda: check_and_plan(program, arm, config, start_deg, watcher.message)
+                None, lambda: check_and_plan(program, arm, config, start_deg, watcher.message, watched)
             )
+            _refuse_what_waits(planned)
         return await _play(program, planned, session, arm, config, options, watcher)
     finally:
         if planned is not None:
             planned.close()
         if session is not None:
             await session.aclose()
+
+
+def _refuse_what_waits(planned: PlannedProgram) -> None:
+    """Nobody is there to answer: what is known to wait for an answer is not even begun."""
+    match planned.waits_for:
+        case InputWait(source=source):
+            raise RefusedError(
+                f"{source}: {_WORDS[InputWait]} needs an operator or inputs, `run` has neither; run the program in the "
+                "daemon: rm501-host serve, then send"
+            )
+        case ProbeMove(source=source):
+            raise RefusedError(f"{source}: {_WORDS[ProbeMove]} needs a probe, there is none on this machine; remove it")
 
 
 async def _connect(config: Config, options: RunOptions, watcher: Watcher) -> BoardSession:

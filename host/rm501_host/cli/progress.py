@@ -5,13 +5,17 @@ from __future__ import annotations
 import contextlib
 import linecache
 import sys
+import time
 from collections.abc import Iterator
 
 import click
 
 from rm501_host.cli.context import CommandContext
 from rm501_host.motion import Progress
+from rm501_host.moves import Move
+from rm501_host.planner.pieces import Action
 from rm501_host.program_run import Watcher
+from rm501_host.reading import tell_while_reading
 
 
 class _Lines:
@@ -38,6 +42,17 @@ class _Silent:
 
     def message(self, text: str) -> None:
         click.echo(text, err=True)
+
+
+def words_of_progress(context: CommandContext, doing: str, moves: Iterator[Move | Action]) -> Iterator[Move | Action]:
+    """The moves; where reading them takes long, a line on standard error every few seconds, none with --json."""
+    if context.json_output:
+        return moves
+
+    def tell(line: int, count: int) -> None:
+        click.echo(f"{doing} line {line}, {count} moves so far ...", err=True)
+
+    return tell_while_reading(moves, tell, time.perf_counter)  # noqa: TID251  # words for a person, nothing depends
 
 
 @contextlib.contextmanager

@@ -12,20 +12,23 @@ import click
 @click.argument("program", type=click.Path(exists=True, dir_okay=False, readable=True, path_type=Path))
 @click.option("--out", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write samples (.npz).")
 @click.option("--start", help="Joints at the start, q1,q2,q3,q4,q5 in deg; default: the home position.")
+@click.option("--max-moves", type=click.IntRange(min=1), help="Refuse longer ones; default: max_blocks of [preflight].")
 @click.pass_context
-def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str | None) -> None:
+def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str | None, max_moves: int | None) -> None:
     """Plan PROGRAM and print its times and the limits it reaches; with --json as JSON on stdout.
 
     The samples are 1 ms apart but for the last: t_s (n), q_deg (n,5), tcp_mm (n,3) in the base frame, motor_steps
-    (n,6), line (n).
+    (n,6), line (n). All of the plan is kept in memory, so a program of too many moves, or without an end, is refused.
     """
     import numpy as np
 
+    from rm501_host.cli.progress import words_of_progress
     from rm501_host.kinematics import Arm
     from rm501_host.planner.plan import Plan
     from rm501_host.planner.planner import Planner
     from rm501_host.planner.programs import start_joints
     from rm501_host.program import read_moves
+    from rm501_host.reading import at_most
     from rm501_host.segmenter import Segmenter, stop_horizon
     from rm501_host.segmenter.fit import to_q48
 
@@ -36,7 +39,9 @@ def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str
     moves = read_moves(
         program, arm, lambda: planner.q_deg.tolist(), lambda text: click.echo(text, err=True), config=config
     )
-    plan = Plan(arm, config, planner.plan(moves))
+    remedy = "the whole plan is kept in memory: correct its loop, or plan more of it with --max-moves"
+    bounded = at_most(moves, max_moves or config.preflight.max_blocks, remedy)
+    plan = Plan(arm, config, planner.plan(words_of_progress(ctx.obj, "planning", bounded)))
     positions = [*map(to_q48, arm.motors_from_joints(start_deg).tolist()), 0]
     segments = list(Segmenter(config, positions, 0).segments(plan.pieces))
     horizon = stop_horizon(config, segments)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 @click.pass_context
 def check_command(ctx: click.Context, program: Path, start: str | None, max_blocks: int | None) -> None:
     """Check PROGRAM from its start to its end, or to the first point that depends on the outside world."""
+    from rm501_host.cli.progress import words_of_progress
     from rm501_host.errors import RefusedError
     from rm501_host.gcode.errors import GcodeBudgetError
     from rm501_host.kinematics import Arm
@@ -37,6 +38,7 @@ def check_command(ctx: click.Context, program: Path, start: str | None, max_bloc
     moves = read_moves(
         program, arm, lambda: check.q_deg.tolist(), lambda text: click.echo(text, err=True), settings, config=config
     )
+    moves = words_of_progress(ctx.obj, "checking", moves)
     report = check.run(moves, max_moves=most, limit_error=GcodeBudgetError)
     if ctx.obj.json_output:
         click.echo(json.dumps(_as_json(report)))

@@ -68,6 +68,8 @@ class RollingCheck:
         """The highest line among the moves that have been checked and are good."""
         self.checked = 0
         """Moves checked so far."""
+        self.waits_for: Move | Action | None = None
+        """What the check before the start came to whose outcome it cannot know: an input or a probe."""
         self.taken = 0
         """Moves given away so far."""
 
@@ -87,6 +89,7 @@ class RollingCheck:
             self._check.flush()
             silent += sum(move.blocks for move in chunk if isinstance(move, StillReading))
         if self._waits:
+            self.waits_for = moves[-1]
             what = "an input" if isinstance(moves[-1], InputWait) else "a probe"
             stopped_by = f"{moves[-1].source}: what follows depends on {what}"
         self._accept(moves)
