@@ -130,7 +130,7 @@ class BoardSession:
         assert identify is not None, "a host's link has it"
         status = await self.refresh_status()
         await agree_on_configuration(self, identify, status, board_config)
-        self._consistency = Consistency(board_config, self.link.on_its_way)
+        self._consistency = Consistency(board_config, self._may_still_be_obeyed)
         return identify
 
     # -------------------------------------------------------------------------------------------- messages
@@ -378,6 +378,10 @@ class BoardSession:
                 self._tell(event)
             case _:
                 pass
+
+    def _may_still_be_obeyed(self, message: Message) -> bool:
+        """Whether it is on its way, or a stop has overtaken it of which nobody knows yet where it met the board."""
+        return self.link.stopping or self.link.on_its_way(message)
 
     def _is_nobodys(self, report: Status | MotionEnded) -> bool:
         """Whether a report is older than what is known, or cannot be; then the session is over."""

@@ -32,7 +32,9 @@ _NEAR_FRAMES = 1 << 22
 
 
 class Consistency:
-    """Judges the reports of one session. `config` is the board's; `is_on_its_way` asks the link about a message."""
+    """Judges the reports of one session. `config` is the board's; `is_on_its_way` tells whether the board may still
+    obey a message of which it has not told that it has.
+    """
 
     def __init__(self, config: BoardConfig, is_on_its_way: Callable[[SetPositions], bool]) -> None:
         timing = config.timing

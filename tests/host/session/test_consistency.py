@@ -15,7 +15,8 @@ from rm501_host.transports import open_transport
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.enums import BoardState, EndCause, HandState, HoldCause
 from rm501_protocol.faults import FaultCode
-from rm501_protocol.messages import MotionEnded, SetPositions, SetStatusPeriod, Status
+from rm501_protocol.messages import MotionEnded, SetPositions, SetPower, SetStatusPeriod, Status
+from rm501_sim_board.emu_transport import running_board, shut_down
 from tests.support.lying_line import Lie, LyingLine
 
 CONFIG = board_config_from(load_config())
@@ -151,5 +152,30 @@ def test_a_board_that_falls_behind_its_own_stop_generation_counts_as_silent() ->
             assert session.link_silent
         finally:
             await session.aclose()
+
+    run_virtual(main())
+
+
+@pytest.mark.parametrize("stop_after_s", [0.0, 0.06, 0.2])
+def test_a_stop_that_overtakes_a_definition_of_positions_makes_no_liar_of_the_board(stop_after_s: float) -> None:
+    """Nothing acknowledges it any more, and statuses from before it may be on a slow line."""
+
+    async def main() -> None:
+        session = await open_session(open_transport("emu://overtaken?seed=1"), CONFIG, lambda: 7)
+        board = running_board("overtaken").board
+        try:
+            session.post(SetStatusPeriod(20))
+            await session.command(SetPower(True), lambda status: status.power)
+            board.to_host.damage.delay_s = board.to_board.damage.delay_s = 0.15
+            await asyncio.sleep(1.0)
+            session.post(SetPositions(1, (5000, 0, 0, 0, 0, 0)))
+            await asyncio.sleep(stop_after_s)
+            await session.stop()
+            await asyncio.sleep(1.0)
+            assert session.failure is None
+            assert session.status is not None and session.status.positions_steps[0] == 5000
+        finally:
+            await session.aclose()
+            shut_down("overtaken")
 
     run_virtual(main())
