@@ -102,6 +102,8 @@ class Commands:
     def _segment(self, message: Segment) -> None:
         core = self.core
         checker = core.checker
+        if core.queue.count == 0 and core.hand.pending == 0:
+            checker.hand_at_rest()
         if not checker.accepts(message, 1 if core.lease_end else 0):
             found = checker.refusal
             self._refusal.set(found.reason, found.motor, found.value, found.limit)

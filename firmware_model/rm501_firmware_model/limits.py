@@ -223,6 +223,12 @@ class SegmentChecker:
         self.hand_known = HAND_PULSES if hand_pending else HAND_IDLE
         self.hand_free = (end_frame + self.layout.hand_frames(abs(hand_pending))) & FRAME_MASK
 
+    def hand_at_rest(self) -> None:
+        """Nothing is queued and the hand has no pulse to make: its next stroke may begin at once, although motion time
+        may not have come to `hand_free`: it stands where motion was ended, and pulses run on real frames.
+        """
+        self.hand_known = HAND_IDLE
+
     def advance(self, motor: int, v: int, a: int, j: int, frames: int) -> None:
         """Move the state of one motor at the end of the queue on by `frames` of these terms."""
         self.end_speed[motor] = speed_at(v, a, j, frames)

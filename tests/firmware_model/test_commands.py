@@ -504,6 +504,29 @@ def test_truncate_while_held_at_a_later_boundary_keeps_the_hold() -> None:
     assert (rig.take(Truncated).end_frame, rig.state) == (5000, BoardState.HELD)
 
 
+def test_the_hand_is_free_once_its_pulses_are_made_however_little_motion_was_played_since() -> None:
+    """A stroke runs on real frames: where motion was ended in the middle of one, motion time stands and it goes on."""
+    rig = Rig()
+    rig.go(rig.segment(3000, hold=0xFFFF, stop=0xFFFF, flags=REST, events=(hand_event(0, 400),)))
+    rig.run(10)
+    rig.send(Hold())
+    rig.run_to(BoardState.HELD)
+    frame = rig.status().motion_frame
+    rig.send(Truncate(frame))
+    rig.run(1)
+    pending = rig.core.hand.pending
+    assert (rig.state, pending) == (BoardState.READY, 400 - rig.core.hand.count)
+    assert pending > 100
+    again = Segment(frame, 9, flags=REST, events=(hand_event(0, -5),))
+    assert rig.refusal(again).reason is RefusalReason.HAND_BUSY
+    rig.run(3 * pending)
+    rig.messages.clear()
+    rig.start_frames = frame
+    rig.go(again)
+    rig.run(100)
+    assert (rig.got(Refused), rig.core.hand.count) == ([], 395)
+
+
 # ----------------------------------------------------------------------------------------------------------- jog lease
 
 

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 
+from rm501_host.errors import StoppedError
 from rm501_host.session import BoardRefusedError, BoardSession
 from rm501_protocol.enums import BoardState
 from rm501_protocol.messages import Hold, MotionEnded, Status, Truncate
@@ -21,17 +22,23 @@ async def settle(
     session: BoardSession, last_end: Callable[[], MotionEnded | None], is_wanted: Callable[[], bool] = lambda: True
 ) -> Status:
     """Hold what moves, then drop what is queued, motors as they are: READY, IDLE, BOOT or FAULT; or until nobody wants
-    it any more. `last_end`: the newest report of an end of motion. Raises TimeoutError, and what the session raises.
+    it any more. `last_end`: the newest report of an end of motion. Raises StoppedError when
+    it does not come to rest, and what the session raises.
     """
-    async with asyncio.timeout(REST_TIMEOUT_S):
-        status = await session.refresh_status()
-        while is_wanted() and status.state in _MOVING:
-            if status.state is BoardState.RUNNING:
-                session.post(Hold())
-            elif status.state is BoardState.HELD:
-                await _drop_queue(session, last_end, status)
-            await asyncio.sleep(_POLL_S)
+    try:
+        async with asyncio.timeout(REST_TIMEOUT_S):
             status = await session.refresh_status()
+            while is_wanted() and status.state in _MOVING:
+                if status.state is BoardState.RUNNING:
+                    session.post(Hold())
+                elif status.state is BoardState.HELD:
+                    await _drop_queue(session, last_end, status)
+                await asyncio.sleep(_POLL_S)
+                status = await session.refresh_status()
+    except TimeoutError:
+        raise StoppedError(
+            f"the board did not come to rest within {REST_TIMEOUT_S:.0f} s; look at the arm and the status, then stop"
+        ) from None
     return status
 
 

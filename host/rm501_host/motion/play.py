@@ -34,7 +34,7 @@ from rm501_host.segmenter import PlannedSegment, Segmenter
 from rm501_host.session import BoardRefusedError, BoardSession, LinkLostError
 from rm501_host.session.fault_words import describe_fault
 from rm501_protocol.declaration import Message
-from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause, SegmentFlag
+from rm501_protocol.enums import BoardState, EndCause, HandState, HoldCause, ResumeCause, SegmentFlag
 from rm501_protocol.faults import RefusalReason
 from rm501_protocol.messages import Hold, Resume, Start, Truncate
 from rm501_protocol.segment import MAX_LENGTH_FRAMES
@@ -44,6 +44,7 @@ _POLL_S = 0.02
 _AHEAD_S = 0.15
 """How far ahead a progress shows what will be played: further than the next one comes."""
 _FRAME_MASK = 0xFFFFFFFF
+_HAND_MOVES = (HandState.OPENING, HandState.CLOSING)
 _TOO_LATE = (
     "this computer or the line stood still for more than a second before the motion began; nobody expects it any more, "
     "so nothing moved: look at the arm, then start it again"
@@ -304,7 +305,9 @@ class Play:
     # ------------------------------------------------------------------------------------------ early ends
 
     async def _try_break_off(self, wanted: asyncio.Future[bool]) -> BrokenOff | None:
-        """Drop the queue of a held board and say where the arm stands; None where it is not held (any more)."""
+        """Drop the queue of a held board and say where the arm stands; None where it is not held (any more), and for
+        now while the hand makes the rest of a stroke: the program expects the arm to wait for it.
+        """
         status = self._session.status
         if self._cut is not None:
             return None
@@ -312,6 +315,8 @@ class Play:
         if status is not None and status.state is BoardState.HELD:
             frame = self._session.motion_frames.extend(status.motion_frame)
             planned = self._mirror.under_way(frame)
+            if planned is not None and status.hand in _HAND_MOVES:
+                return None
         if status is not None and planned is not None:
             self._take_back_unsent()
             self._reports.forget_truncate()

@@ -300,6 +300,78 @@ def test_back_and_forward_again_with_the_hand_and_the_progress_told(tmp_path: Pa
     in_cell(tmp_path, scenario, 1)
 
 
+async def held_in_a_stroke(cell: LiveCell) -> None:
+    """Held as soon as the hand begins to close in line 7."""
+    arm_state = cell.service.machine.arm_state
+    await until(lambda: arm_state.hand == "CLOSING")
+    await held(cell, 0.0)
+    assert arm_state.hand == "CLOSING"
+
+
+def steps_now(cell: LiveCell) -> list[int]:
+    """Step counts of the arm's motors from the pins."""
+    steps: list[int] = cell.emulator.recording.positions_steps(np.array([cell.frames() - 1]))[0, :5].tolist()
+    return steps
+
+
+@pytest.mark.parametrize("back_s", [0.1, 0.5])
+def test_the_hand_ends_its_stroke_before_the_arm_goes_back(tmp_path: Path, back_s: float) -> None:
+    """Held in the middle of one, run back by less than the stroke takes, and forward at once: none is refused, none
+    lost.
+    """
+
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        job = await programs.run(ME, "live.ngc")
+        await held_in_a_stroke(cell)
+        before = steps_now(cell)
+        going_back = asyncio.create_task(programs.run_back(ME, back_s))
+        await until(lambda: machine.arm_state.hand == "CLOSED")
+        assert steps_now(cell) == before, "the arm left while the hand was closing"
+        assert (await going_back).repeats == ("hand closes (line 7)",)
+        await went_back(cell)
+        await machine.resume(ME)
+        await job.wait()
+        assert machine.stream is not None
+        assert machine.stream.positions_steps[:5] == reference.steps[:5]
+        assert machine.arm_state.hand == "OPEN"
+
+    in_cell(tmp_path, scenario, 1)
+
+
+def test_somebody_resumes_while_running_back_waits_for_the_hand(tmp_path: Path) -> None:
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        job = await programs.run(ME, "live.ngc")
+        await held_in_a_stroke(cell)
+        going_back = asyncio.create_task(programs.run_back(ME, 0.5))
+        await asyncio.sleep(0.1)
+        await machine.resume(ME)
+        with pytest.raises(RefusedError, match="not held any more"):
+            await going_back
+        await job.wait()
+        assert machine.stream is not None
+        assert machine.stream.positions_steps[:5] == reference.steps[:5]
+
+    in_cell(tmp_path, scenario, 1)
+
+
+def test_after_an_abort_in_the_middle_of_a_stroke_the_hand_can_be_moved(tmp_path: Path) -> None:
+    """Motion time stands since the abort; the hand has had its time long ago."""
+
+    async def scenario(cell: LiveCell, _: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        await programs.run(ME, "live.ngc")
+        await held_in_a_stroke(cell)
+        await machine.abort(ME)
+        await asyncio.sleep(2.0)
+        job = operations.hand(machine, ME, opened=True)
+        await job.wait()
+        assert machine.arm_state.hand == "OPEN"
+
+    in_cell(tmp_path, scenario, 1)
+
+
 def test_a_program_that_pauses_is_run_back_and_comes_forward_to_its_pause(tmp_path: Path) -> None:
     program = "G21 G90 G94\nG61.1\nG0 X270 Y0 Z250 A0 B0\nG1 Y40 F2000\nM0\nG1 Y0\nM2\n"
 
