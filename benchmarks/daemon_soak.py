@@ -114,19 +114,20 @@ class _Soak:
             hand = self._hand
             while loop.time() < 3600 * self._hours or found.cycles < 3:
                 self._choose_tracing(found.cycles)
-                job = await programs.run(ME, "p.ngc")
+                self._transport.truth()  # the emulator runs on to this instant; left alone it may lag by a status
                 opened, closed = hand.pulses_open, hand.pulses_closed
+                job = await programs.run(ME, "p.ngc")
                 shown = set()
                 while not job.done.is_set():
                     await asyncio.sleep(0.3)
                     shown.add(machine.arm_state.hand)
                 await job.wait()
                 found.seen_hand += {"CLOSED", "OPEN"} <= shown
+                counted = self._transport.truth().commanded_steps[:_HAND]
                 found.missed_pulses += abs(hand.pulses_open - opened - _PULSES)
                 found.missed_pulses += abs(hand.pulses_closed - closed - _PULSES)
                 assert machine.stream is not None
                 # what was counted by the driver boards, relative to what the host believes: never changes
-                counted = self._transport.truth().commanded_steps[:_HAND]
                 counts = tuple(a - b for a, b in zip(counted, machine.stream.positions_steps, strict=False))
                 place = machine.stream.positions_q48[:_HAND]
                 first_counts, first_place = first_counts or counts, first_place or place
