@@ -9,7 +9,7 @@ from msgspec import Meta
 from rm501_host.daemon.access import Access
 from rm501_host.daemon.declared import Params, api
 from rm501_host.daemon.service import Client
-from rm501_host.machine.machine import HIGHEST_OVERRIDE
+from rm501_host.machine.feed_override import HIGHEST_OVERRIDE
 from rm501_host.planner.run_back import KEPT_S
 
 

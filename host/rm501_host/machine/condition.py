@@ -25,6 +25,11 @@ class Condition:
         self._log = log
         self._black_box = black_box
         self._board_status = board_status
+        self._watcher: Callable[[], None] = lambda: None
+
+    def watch(self, watcher: Callable[[], None]) -> None:
+        """Call `watcher` after each event, one that left the state as it was included."""
+        self._watcher = watcher
 
     def apply(self, event: Event) -> None:
         """Something has happened to the machine; raises IllegalTransitionError for what cannot happen now."""
@@ -35,6 +40,7 @@ class Condition:
             status = self._board_status()
             if status is not None:
                 self._black_box.add("status", msgspec.json.encode(status, enc_hook=str))
+        self._watcher()
 
     def tell(self, cause: causes.Cause, reason: str) -> None:
         """Add what took the machine away, and when it is news keep the last minute of everything as `reason`."""

@@ -1,18 +1,18 @@
 """The machine: one arm, its state, who moves it, and what happens when something goes wrong.
 
 `run` supervises for as long as the daemon lives: it keeps the connection (`BoardPort`), follows the board's state, and
-runs at most one motion (`Job`) at a time. Requests come in through the methods; those that move the arm return a
+runs at most one motion at a time (`JobRunner`). Requests come in through the methods; those that move the arm return a
 job at once. STOP, KILL and HOLD wait for nothing.
 
 The state changes through `Condition.apply` only. Whatever the board does by itself (a hold button, a low queue, a
-fault, a restart) arrives as a notice and is turned into events (`following`).
+fault, a restart) arrives as a notice and is turned into events (`following`). Each part has its file: `job_runner` one
+motion from its beginning to its end, `resetting` the way back from ESTOP, `drive` the motors' power and their stream.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
@@ -23,44 +23,33 @@ import numpy as np
 from rm501_host.blackbox import BlackBox
 from rm501_host.config import Config
 from rm501_host.config.board import board_config_from
-from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
+from rm501_host.errors import NoBoardError, RefusedError, Rm501Error
 from rm501_host.kinematics import Arm
 from rm501_host.machine import causes
 from rm501_host.machine.arm_state import ArmState
 from rm501_host.machine.board_port import BoardPort
 from rm501_host.machine.condition import Condition
+from rm501_host.machine.drive import Drive
+from rm501_host.machine.feed_override import HIGHEST_OVERRIDE, FeedOverride
 from rm501_host.machine.following import events_of
+from rm501_host.machine.job_runner import JobRunner
 from rm501_host.machine.jobs import Job, JobBook, JobKind
 from rm501_host.machine.lease import MotionLease, Owner
 from rm501_host.machine.limits import RuntimeLimits
-from rm501_host.machine.settling import REST_TIMEOUT_S, settle
+from rm501_host.machine.resetting import Resetting
+from rm501_host.machine.settling import REST_TIMEOUT_S
 from rm501_host.machine.states import Event, MachineState, Mode, TaskState, describe
 from rm501_host.motion import MotionStream
 from rm501_host.session import BoardSession, ContradictionError, LinkLostError
 from rm501_host.session.board_session import Notice
-from rm501_host.session.refusals import BoardRefusedError
 from rm501_host.storage import JsonLog, PositionFile
 from rm501_protocol.enums import BoardState, EndCause, HoldCause, ResumeCause
 from rm501_protocol.faults import FaultCode
 from rm501_protocol.link_events import LinkHeard, LinkNoisy, LinkSilent, StopKind
-from rm501_protocol.messages import (
-    OVERRIDE_ONE,
-    FaultReport,
-    Hold,
-    MotionEnded,
-    Reset,
-    Resume,
-    SetOverride,
-    SetPower,
-    Status,
-)
+from rm501_protocol.messages import FaultReport, Hold, MotionEnded, Resume, Status
 from rm501_protocol.segment import ONE_STEP
 from rm501_protocol.transport import Transport
 
-_LOGGER = logging.getLogger(__name__)
-_NOTICE_S = 0.5
-"""A job whose motion the board has ended notices within a status period; if not, it is ended."""
-HIGHEST_OVERRIDE = 2.0
 _SYSTEM = Owner(0, "the machine")
 _BY_ITSELF = "a board that hears nobody holds a moving arm on its path, motors on; use the emergency stop that is wired"
 
@@ -84,26 +73,11 @@ class Machine:
         self.limits = RuntimeLimits(config)
         self.arm = Arm.from_config(config)
         self.lease = MotionLease()
-        self.jobs = JobBook()
         self.log = parts.log
         self.black_box = parts.black_box
         self.arm_state = ArmState(self.arm, config, parts.position_file, parts.utc)
-        self._condition = Condition(parts.log, parts.black_box, lambda: self.board_status)
-        self._causes = self._condition.causes
-        self.mode = Mode.MANUAL
-        self.override = 1.0
-        self.plan_scale = 1.0
-        self.job: Job | None = None
-        self._job_task: asyncio.Task[None] | None = None
-        self.last_job_id = 0
         self.frame_s = config.board.base_period_us * len(config.board.table) * 1e-6
-        self.stream: MotionStream | None = None
-        self.waiting_for = ""
         self.messages: deque[str] = deque(maxlen=8)
-        self.last_end: MotionEnded | None = None
-        self._loop = asyncio.get_running_loop()
-        self._tasks: asyncio.TaskGroup | None = None
-        self._continue = asyncio.Event()
         self._port = BoardPort(
             parts.open_transport,
             board_config_from(config),
@@ -113,10 +87,12 @@ class Machine:
             self._link_down,
             self._notice,
         )
-        self._aborting = False
-        self._resets = asyncio.Lock()
-        self._saves = asyncio.Lock()
-        self._stops = 0
+        self._condition = Condition(parts.log, parts.black_box, lambda: self.board_status)
+        self._causes = self._condition.causes
+        self._override = FeedOverride()
+        self._drive = Drive(lambda: self.session, self._condition, self.arm_state, self.limits, self._override)
+        self._resetting = Resetting(lambda: self.session, self._condition, self._drive)
+        self._runner = JobRunner(self._port, self._condition, self.lease, self._drive, self.arm_state, self.stop)
 
     # -------------------------------------------------------------------------------------------- life
 
@@ -124,11 +100,11 @@ class Machine:
         """Supervise until cancelled; a moving arm is then stopped on its path before this returns."""
         try:
             async with asyncio.TaskGroup() as tasks:
-                self._tasks = tasks
+                self._runner.tasks = tasks
                 tasks.create_task(self._port.run(), name="board port")
                 started()
         finally:
-            self._tasks = None
+            self._runner.tasks = None
 
     async def shut_down(self) -> None:
         """Bring a moving arm to rest on its path and leave it held; called before `run` is cancelled."""
@@ -136,7 +112,7 @@ class Machine:
         if session is None or self.job is None:
             return
         with contextlib.suppress(Rm501Error):
-            self._abort_now(session)
+            self._runner.abort_now(session)
             async with asyncio.timeout(REST_TIMEOUT_S):
                 await self.job.done.wait()
 
@@ -161,6 +137,51 @@ class Machine:
     def state(self) -> MachineState:
         """What the machine is in."""
         return self._condition.state
+
+    @property
+    def mode(self) -> Mode:
+        """The mode that belongs to the newest motion."""
+        return self._runner.mode
+
+    @property
+    def jobs(self) -> JobBook:
+        """The last motions, by number."""
+        return self._runner.book
+
+    @property
+    def job(self) -> Job | None:
+        """The motion under way."""
+        return self._runner.job
+
+    @property
+    def last_job_id(self) -> int:
+        """The number of the newest motion, 0 before the first."""
+        return self._runner.last_id
+
+    @property
+    def waiting_for(self) -> str:
+        """What the operator's resume ends ("M0", "step"), empty while nothing waits for it."""
+        return self._runner.waiting_for
+
+    @property
+    def stream(self) -> MotionStream | None:
+        """The stream of motion to the board, None before the motors are on and after the link was lost."""
+        return self._drive.stream
+
+    @property
+    def last_end(self) -> MotionEnded | None:
+        """How the board says that the newest motion ended, None when it has not."""
+        return self._drive.last_end
+
+    @property
+    def override(self) -> float:
+        """The feed override that was asked for; 1: as programmed."""
+        return self._override.ratio
+
+    @property
+    def plan_scale(self) -> float:
+        """By how much the feeds of what is played were multiplied when it was planned."""
+        return self._override.plan_scale
 
     @property
     def cause(self) -> causes.Cause | None:
@@ -219,12 +240,12 @@ class Machine:
 
         Raises NoBoardError when there is nobody to tell, LinkLostError when nobody has acknowledged it.
         """
-        self._stops += 1
+        self._resetting.stopped()
         self.write_log("stop", who=who.name, category=kind.name, state=describe(self.state))
-        self._continue.set()
+        self._runner.wake()
         if self.state.task is TaskState.ON:
-            self._aborting = False
-            self._apply(Event.STOP)
+            self._runner.stop_instead()
+            self._condition.apply(Event.STOP)
             self._causes.add(causes.OPERATOR_STOP)
         try:
             await self.session.stop(kind)
@@ -249,7 +270,7 @@ class Machine:
         if job is None or self.state not in (MachineState.RUNNING, MachineState.HOLDING, MachineState.HELD):
             return False
         if job.kind is JobKind.JOG:
-            await self._end_on_the_path(job)
+            await self._runner.end_on_the_path(self.session, job)
         elif not self.waiting_for:
             session.post(Hold())
             if session.link_silent:
@@ -266,7 +287,7 @@ class Machine:
         self.lease.require_control(who)
         if self.waiting_for:
             self.write_log("continue", who=who.name, after=self.waiting_for)
-            self._continue.set()
+            self._runner.wake()
             return
         if self.state not in (MachineState.HOLDING, MachineState.HELD):
             raise RefusedError(f"nothing is held, the machine is {describe(self.state)}; start something first")
@@ -289,18 +310,8 @@ class Machine:
         if job is None:
             return False
         self.write_log("abort", who=who.name, motion=job.id)
-        await self._end_on_the_path(job)
+        await self._runner.end_on_the_path(self.session, job)
         return True
-
-    async def _end_on_the_path(self, job: Job) -> None:
-        self._abort_now(self.session)
-        try:
-            async with asyncio.timeout(REST_TIMEOUT_S):
-                await job.done.wait()
-        except TimeoutError:
-            raise StoppedError(
-                f"motion {job.id} has not ended within {REST_TIMEOUT_S:.0f} s; look at the arm and the status, or stop"
-            ) from None
 
     async def set_override(self, ratio: float, who: Owner) -> None:
         """Feed override `ratio`, 0 to 2 (1: as programmed), along the path. Up to 1 at once; above it a program is
@@ -313,21 +324,18 @@ class Machine:
             raise RefusedError(f"override {ratio} is not between 0 and {HIGHEST_OVERRIDE:g}")
         session = self.session
         self.write_log("override", who=who.name, old=self.override, new=ratio)
-        self.override = ratio
-        session.post(self._rate())
+        self._override.ratio = ratio
+        session.post(self._override.message)
 
     def follow_plan_scale(self, scale: float) -> None:
         """Feeds of what is played now were multiplied by this: the board's rate does the rest of the override."""
         if scale == self.plan_scale:
             return
         self.write_log("plan_scale", old=self.plan_scale, new=scale)
-        self.plan_scale = scale
+        self._override.plan_scale = scale
         session = self._port.session
         if session is not None and session.failure is None:
-            session.post(self._rate())
-
-    def _rate(self) -> SetOverride:
-        return SetOverride(round(min(1.0, self.override / self.plan_scale) * OVERRIDE_ONE))
+            session.post(self._override.message)
 
     async def reset(self, who: Owner, fault: str | None = None, *, power: bool = True) -> None:
         """Leave ESTOP or OFF: clear the fault that is named, drop what is queued, switch the motors on.
@@ -336,42 +344,7 @@ class Machine:
         there, StoppedError when somebody stops meanwhile: the stop wins. Nothing moves.
         """
         self.lease.require_control(who)
-        async with self._resets:
-            stops = self._stops
-            refused: Rm501Error | None = None
-            try:
-                await self._reset(who, fault, power=power, stops=stops)
-            except (BoardRefusedError, StoppedError) as error:
-                if self._stops == stops:
-                    raise
-                refused = error
-            if self._stops != stops:
-                self._causes.add(causes.OPERATOR_STOP)
-                raise StoppedError(
-                    "somebody stopped the machine during the reset; look at the arm, then reset again"
-                ) from refused
-
-    async def _reset(self, who: Owner, fault: str | None, *, power: bool, stops: int) -> None:
-        session = self.session
-        if self.state.task is TaskState.ON and self.state is not MachineState.IDLE:
-            raise RefusedError(f"the machine is {describe(self.state)}; stop or abort first")
-        if self.state is MachineState.IDLE and session.status is not None and session.status.power:
-            return
-        self.write_log("reset", who=who.name, fault=fault)
-        status = await session.refresh_status()
-        if status.state is BoardState.FAULT:
-            status = await self._clear_fault(session, status, fault)
-        await settle(session, self._newest_end)
-        if self._stops != stops:
-            return
-        if session.status is not None and session.status.state is BoardState.IDLE:
-            session.post(Reset(FaultCode.NONE))
-        if self.state is MachineState.ESTOP:
-            self._apply(Event.RESET)
-        self._causes.clear()
-        self._causes.add(causes.AFTER_RESET)
-        if power:
-            await self._power_on(session)
+        await self._resetting.reset(who.name, fault, power=power)
 
     async def power_off(self, who: Owner) -> None:
         """Motor power off at rest. Where the line is fitted the arm sinks and the position is trusted no longer.
@@ -380,195 +353,33 @@ class Machine:
         NoBoardError, BoardRefusedError.
         """
         self.lease.require_control(who)
-        if self.state is MachineState.OFF:
-            return
-        if self.state is not MachineState.IDLE:
-            raise RefusedError(f"the machine is {describe(self.state)}; stop it first")
-        self.write_log("power_off", who=who.name)
-        self._apply(Event.POWER_OFF)
-        self._causes.add(causes.POWERED_OFF)
-        await self.session.command(SetPower(False), lambda status: not status.power)
+        await self._drive.power_off(who.name)
 
     def start_job(
         self, kind: JobKind, who: Owner, body: Callable[[Job], Awaitable[None]], *, homed: bool = True
     ) -> Job:
         """Start a motion; raises RefusedError when it may not start now, LeaseHeldError when somebody else moves."""
-        self.lease.require(who)
-        if self.state is not MachineState.IDLE:
-            after = f" ({self.cause.text}; {self.cause.remedy})" if self.cause is not None else ""
-            raise RefusedError(f"{kind.value} is not possible in {describe(self.state)}{after}; nothing moved")
-        if homed and (missing := self.arm_state.unhomed()):
-            raise RefusedError(f"not homed: {', '.join(missing)}; home first, until then joints can be jogged slowly")
-        if self._tasks is None or self.stream is None:
-            raise NoBoardError("the machine does not run; start rm501-host serve")
-        job = self.jobs.new(kind, who)
-        self.lease.begin_motion(who)
-        self.job = job
-        self.last_job_id = job.id
-        self.mode = kind.mode
-        self.last_end = None
-        self._aborting = False
-        self._apply(Event.START)
-        self.write_log("motion", motion=job.id, what=kind.value, who=who.name)
-        self._job_task = self._tasks.create_task(self._run_job(job, body), name=f"motion {job.id}")
-        return job
+        return self._runner.start(kind, who, body, homed=homed)
 
     def go_on(self) -> None:
         """End `wait_for_operator` without an operator's resume: somebody has something else for the arm to do."""
-        self.waiting_for = ""
-        self._continue.set()
+        self._runner.waiting_for = ""
+        self._runner.wake()
 
     async def wait_for_operator(self, what: str) -> None:
         """A program waits for `resume` (M0, M1, a single block); the state is HELD meanwhile.
 
         Raises StoppedError when it was stopped or aborted instead.
         """
-        self._continue.clear()
-        self.waiting_for = what
-        self._apply(Event.HOLD)
-        self._apply(Event.AT_REST)
-        try:
-            await self._continue.wait()
-        finally:
-            self.waiting_for = ""
-        if self._aborting or self.state is not MachineState.HELD:
-            raise StoppedError(f"stopped while waiting for {what}")
-        self._apply(Event.RESUME)
-
-    # -------------------------------------------------------------------------------------- one motion
-
-    async def _run_job(self, job: Job, body: Callable[[Job], Awaitable[None]]) -> None:
-        try:
-            await self._save(dirty=True)
-            await body(job)
-        except Rm501Error as error:
-            job.error = error
-            if isinstance(error, RefusedError) and self.state not in (MachineState.RUNNING, MachineState.IDLE):
-                # the board refused what was on its way when the machine was taken away
-                job.error = StoppedError(f"{job.kind.value} ended: the machine went to {describe(self.state)}")
-        except asyncio.CancelledError:
-            why = "aborted" if self._aborting else f"the machine went to {describe(self.state)}"
-            job.error = StoppedError(f"{job.kind.value} ended: {why}; the arm stands on its path")
-            if self._tasks is None:
-                raise
-        except Exception as error:
-            _LOGGER.exception("motion %d failed", job.id)
-            job.error = StoppedError(f"an error of the daemon ended the motion: {error!r}; its log has the details")
-            with contextlib.suppress(Rm501Error):
-                await self.stop()
-        finally:
-            self.job = None
-            self.lease.end_motion()
-            self.waiting_for = ""
-            await self._after_motion(job)
-            job.done.set()
-
-    async def _after_motion(self, job: Job) -> None:
-        """Bring the state to where a motion leaves it, and the position file up to date."""
-        session = self._port.session
-        is_settled = True
-        if session is not None and session.failure is None and self.state.task is TaskState.ON:
-            if (self.state is not MachineState.STOPPING or self._aborting) and job.error is not None:
-                # motion may be queued that nobody will complete, and only the board knows where it ended
-                is_settled = await self._settled(session)
-            if self.state in (MachineState.HOLDING, MachineState.HELD):
-                self._apply(Event.ABORT)
-            if self.state is MachineState.RUNNING or (self.state is MachineState.STOPPING and self._aborting):
-                self._apply(Event.FINISHED)
-        self._aborting = False
-        text = None if job.error is None else str(job.error)
-        self.write_log("motion_end", motion=job.id, what=job.kind.value, error=text)
-        if is_settled and self._is_open(session):
-            await self._save(dirty=False)
-
-    async def _save(self, *, dirty: bool) -> None:
-        """Write the position file; in the order of the calls: the end of one motion and the beginning of the next may
-        meet here.
-        """
-        async with self._saves:
-            await self._loop.run_in_executor(None, lambda: self.arm_state.save(dirty=dirty))
-
-    async def _settled(self, session: BoardSession) -> bool:
-        """Bring the board of `session` to rest after a motion that broke off; False, and ESTOP, when it does not tell
-        where that is: planning the next motion from a guess would lead the arm along another path than was checked.
-        """
-        try:
-            try:
-                await self.resync()
-            except (Rm501Error, TimeoutError) as first:
-                # what was under way to the board may have met it in between
-                self.write_log("resync_again", error=str(first))
-                await asyncio.sleep(_NOTICE_S)
-                if self._is_open(session):
-                    await self.resync()
-        except (Rm501Error, TimeoutError) as error:
-            if self._is_open(session):
-                silence_s = session.silence_s
-                reason = str(error) or f"it did not come to rest within {REST_TIMEOUT_S:.0f} s"
-                self._fault(causes.silent(silence_s) if silence_s else causes.unsettled(reason), "rest unknown")
-                return False
-        return self._is_open(session)
-
-    def _is_open(self, session: BoardSession | None) -> bool:
-        """Whether this is the session still; what is wrong with one that is over, its end has told."""
-        return session is not None and session is self._port.session and session.failure is None
-
-    def _abort_now(self, session: BoardSession) -> None:
-        self._aborting = True
-        self._continue.set()
-        if self.state in (MachineState.RUNNING, MachineState.HOLDING, MachineState.HELD):
-            self._apply(Event.ABORT)
-        session.post(Hold())
-        assert self._tasks is not None
-        if self.job is not None:
-            self._tasks.create_task(self._truncate_when_held(session, self.job))
-
-    async def _truncate_when_held(self, session: BoardSession, job: Job) -> None:
-        """After the hold of an abort: at rest on the path drop the rest of the queue, then end the job."""
-        with contextlib.suppress(Rm501Error, TimeoutError):
-            await settle(session, self._newest_end, lambda: self.job is job)
-        self._end_job(job)
-
-    def _newest_end(self) -> MotionEnded | None:
-        return self.last_end
-
-    def _end_job(self, job: Job) -> None:
-        """Cancel a job that has not noticed by itself that its motion is over."""
-        if self.job is job and self._job_task is not None:
-            self._job_task.cancel()
-
-    # ---------------------------------------------------------------------------------- reset, power
-
-    async def _clear_fault(self, session: BoardSession, status: Status, named: str | None) -> Status:
-        latched = FaultCode(status.fault)
-        if named is None or named.upper() != latched.name:
-            cause = causes.board_fault(latched)
-            raise RefusedError(f"{cause.text}; {cause.remedy}; a reset has to name the fault: {latched.name}")
-        return await session.command(
-            Reset(latched, master_reset=latched is FaultCode.OVERFLOW),
-            lambda now: now.state is not BoardState.FAULT,
-        )
-
-    async def _power_on(self, session: BoardSession) -> None:
-        stream = MotionStream(session, self.limits.file)
-        old, self.stream = self.stream, None
-        if old is not None:
-            with contextlib.suppress(ValueError):
-                old.detach()
-        await stream.prepare()
-        stream.offsets.set(self.arm_state.leads_deg)
-        if self.override != 1.0:
-            session.post(self._rate())
-        self.stream = stream
-        self._apply(Event.POWER_ON)
-        self._causes.clear()
+        await self._runner.wait_for_operator(what)
 
     async def resync(self) -> None:
         """After a motion that broke off in an unknown place: come to rest, take over the board's positions."""
-        stream, session = self.stream, self.session
-        await settle(session, self._newest_end)
-        if stream is not None and session.status is not None and session.status.state is BoardState.READY:
-            await stream.prepare()
+        await self._drive.resync()
+
+    def stopped_by_lease(self) -> bool:
+        """Whether the newest end of motion was the end of a jog's lease."""
+        return self.last_end is not None and self.last_end.cause is EndCause.LEASE
 
     # ---------------------------------------------------------------------------------- what the board tells
 
@@ -587,13 +398,13 @@ class Machine:
     def _link_down(self, error: Rm501Error) -> None:
         if isinstance(error, ContradictionError):
             self.arm_state.contradicted()
-            if self._tasks is not None:
-                self._tasks.create_task(self._save(dirty=True))
+            if self._runner.tasks is not None:
+                self._runner.tasks.create_task(self._runner.save(dirty=True))
         was_up = self._port.session is not None
         if was_up or self.state is not MachineState.ESTOP:
-            self.stream = None
+            self._drive.stream = None
             self.arm_state.disconnected()
-            self._fault(causes.link_lost(error), "link lost")
+            self._runner.fault(causes.link_lost(error), "link lost")
         else:
             nobody_answered = isinstance(error, NoBoardError | LinkLostError)
             self._causes.not_connected(None if nobody_answered else str(error))
@@ -608,10 +419,9 @@ class Machine:
                 self._follow(notice)
             case FaultReport(fault=fault):
                 self.write_log("fault", fault=fault.name, source=notice.source, value=notice.value, limit=notice.limit)
-                self._fault(causes.board_fault(fault), fault.name)
+                self._runner.fault(causes.board_fault(fault), fault.name)
             case MotionEnded():
-                if self.stream is None or self.stream.motion_ended(notice):
-                    self.last_end = notice
+                self._drive.motion_ended(notice)
                 self.write_log("motion_ended", cause=notice.cause.name, motion_frame=notice.motion_frame)
             case LinkSilent(silent_us=silent_us):
                 self.write_log("link_silent", silent_us=silent_us)
@@ -627,25 +437,10 @@ class Machine:
         if self.state.task is not TaskState.ON:
             return
         if status.state is BoardState.FAULT:
-            self._fault(causes.board_fault(FaultCode(status.fault)), FaultCode(status.fault).name)
+            self._runner.fault(causes.board_fault(FaultCode(status.fault)), FaultCode(status.fault).name)
             return
         events = events_of(status.state, self.state, has_job=self.job is not None, is_waiting=bool(self.waiting_for))
         for event in events:
-            self._apply(event)
+            self._condition.apply(event)
         if self.state is MachineState.OFF:
             self._causes.add(causes.POWERED_OFF)
-
-    def _fault(self, cause: causes.Cause, reason: str) -> None:
-        self._continue.set()
-        if self.state is not MachineState.ESTOP:
-            self._apply(Event.FAULT)
-        self._condition.tell(cause, reason)
-
-    def _apply(self, event: Event) -> None:
-        self._condition.apply(event)
-        if self.state.task is not TaskState.ON and self.job is not None:
-            self._loop.call_later(_NOTICE_S, self._end_job, self.job)
-
-    def stopped_by_lease(self) -> bool:
-        """Whether the newest end of motion was the end of a jog's lease."""
-        return self.last_end is not None and self.last_end.cause is EndCause.LEASE
