@@ -49,6 +49,7 @@ _TOO_LATE = (
     "this computer or the line stood still for more than a second before the motion began; nobody expects it any more, "
     "so nothing moved: look at the arm, then start it again"
 )
+_REFUSED_ON_THE_WAY = "; the arm comes to rest on its path: look at it, then start again"
 _TOO_SLOW = "the arm had passed the place before the new plan or its cut was there; this computer or the line is busy"
 
 
@@ -341,7 +342,7 @@ class Play:
         if reports.fault is not None:
             raise StoppedError(f"the board stopped the arm{self._where()}: {describe_fault(reports.fault)}")
         if reports.refused is not None:
-            raise BoardRefusedError(reports.refused)
+            raise BoardRefusedError(reports.refused, self._where(), _REFUSED_ON_THE_WAY if self._is_under_way else "")
         if reports.ended is None:
             return False
         where = self._where()

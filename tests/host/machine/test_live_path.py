@@ -20,9 +20,11 @@ from rm501_host.machine import MachineState, operations
 from rm501_host.motion import LivePath, Missed
 from rm501_host.planner import Planner
 from rm501_host.planner.run_back import KEPT_S
+from rm501_host.session import BoardRefusedError
 from rm501_host.virtual_time import run_virtual
 from rm501_protocol.board_config import output_bit
 from rm501_protocol.messages import MotionEnded, Refused, Start, Truncate, Truncated
+from rm501_protocol.segment_message import Segment
 from rm501_protocol.transport import Receiver, Transport
 from tests.host.planner.programs import PICK_START_DEG, pick_and_place
 from tests.support.live_cell import LiveCell, Reference, judge, live_cell, played, trial, undisturbed, until
@@ -368,6 +370,31 @@ def test_after_an_abort_in_the_middle_of_a_stroke_the_hand_can_be_moved(tmp_path
         job = operations.hand(machine, ME, opened=True)
         await job.wait()
         assert machine.arm_state.hand == "OPEN"
+
+    in_cell(tmp_path, scenario, 1)
+
+
+def test_what_the_board_refuses_in_mid_motion_ends_the_program_at_rest_with_its_place(tmp_path: Path) -> None:
+    async def scenario(cell: LiveCell, reference: Reference) -> None:
+        machine, programs = cell.service.machine, cell.service.programs
+        before = steps_now(cell)
+        job = await programs.run(ME, "live.ngc")
+        await asyncio.sleep(5.0)
+        assert machine.state is MachineState.RUNNING
+        machine.session.post(Segment(1, 10))
+        with pytest.raises(BoardRefusedError, match=r"refused Segment in live\.ngc:\d+: .*comes to rest on its path"):
+            await job.wait()
+        assert machine.state is MachineState.IDLE
+        at_rest = steps_now(cell)
+        assert at_rest != before, "the program was over"
+        await asyncio.sleep(1.0)
+        assert steps_now(cell) == at_rest
+        assert machine.stream is not None
+        moved = np.subtract(at_rest, before)
+        assert machine.stream.positions_steps[:5] == tuple(np.add(reference.steps[:5], moved).tolist())
+        assert machine.arm_state.homed == (True,) * 5
+        await (await programs.run(ME, "live.ngc")).wait()
+        assert steps_now(cell) == before
 
     in_cell(tmp_path, scenario, 1)
 
