@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import AsyncIterator, Coroutine
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rm501_host.config import load_config
+from rm501_host.daemon.service import Service
 from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
-from rm501_host.machine import Machine, MachineState, operations
+from rm501_host.machine import Job, MachineState, operations
 from rm501_host.motion import MotionStream
 from rm501_host.session import LinkLostError
 from rm501_host.virtual_time import VirtualLoop, run_virtual
@@ -27,13 +29,23 @@ NEXT = (60.0, 75.0, -45.0, 30.0, 20.0)
 WHEN_S = 60.0
 
 
-async def moving_at(machine: Machine, seconds: float) -> Any:
-    """Start a move so that it is under way at `seconds` of the loop's time."""
-    loop = asyncio.get_running_loop()
-    await operations.move_joints(machine, ME, START).wait()
-    assert loop.time() < seconds - 0.8
-    await asyncio.sleep(seconds - 0.8 - loop.time())
-    return operations.move_joints(machine, ME, NEXT)
+@asynccontextmanager
+async def homed_service(tmp_path: Path, url: str = "emu://?preset=ideal&seed=1") -> AsyncIterator[Service]:
+    """A service whose arm has just homed."""
+    async with running_service(tmp_path, url) as service:
+        await homed(service)
+        yield service
+
+
+@asynccontextmanager
+async def moving_service(tmp_path: Path, fault: str) -> AsyncIterator[tuple[Service, Job]]:
+    """A service whose arm is on its way to NEXT at WHEN_S, when the fault happens."""
+    async with homed_service(tmp_path, f"emu://?preset=ideal&seed=1&fault={fault}") as service:
+        loop = asyncio.get_running_loop()
+        await operations.move_joints(service.machine, ME, START).wait()
+        assert loop.time() < WHEN_S - 0.8
+        await asyncio.sleep(WHEN_S - 0.8 - loop.time())
+        yield service, operations.move_joints(service.machine, ME, NEXT)
 
 
 def virtual(test: Coroutine[Any, Any, None]) -> None:
@@ -42,11 +54,8 @@ def virtual(test: Coroutine[Any, Any, None]) -> None:
 
 def test_a_stall_of_three_seconds_holds_and_only_an_operator_resumes(tmp_path: Path) -> None:
     async def scenario() -> None:
-        url = f"emu://?preset=ideal&seed=1&fault=host-stall:ms=3000@{WHEN_S}s"
-        async with running_service(tmp_path, url) as service:
+        async with moving_service(tmp_path, f"host-stall:ms=3000@{WHEN_S}s") as (service, job):
             machine = service.machine
-            await homed(service)
-            job = await moving_at(machine, WHEN_S)
             await asyncio.sleep(6.0)
             assert machine.state is MachineState.HELD
             assert service.status().hold_cause == "LINK_LOST"
@@ -66,10 +75,8 @@ def test_a_stall_of_three_seconds_holds_and_only_an_operator_resumes(tmp_path: P
 )
 def test_after_a_lost_link_trust_depends_on_the_boot(tmp_path: Path, fault: str, trusted: bool) -> None:
     async def scenario() -> None:
-        async with running_service(tmp_path, f"emu://?preset=ideal&seed=1&fault={fault}") as service:
+        async with moving_service(tmp_path, fault) as (service, job):
             machine = service.machine
-            await homed(service)
-            job = await moving_at(machine, WHEN_S)
             with pytest.raises(StoppedError):
                 await job.wait()
             async with asyncio.timeout(20):
@@ -110,11 +117,8 @@ def test_who_stops_or_holds_without_a_board_is_told_that_nobody_heard_it(tmp_pat
 
 def test_a_stop_and_a_hold_that_a_silent_board_has_not_acknowledged_say_so(tmp_path: Path) -> None:
     async def scenario() -> None:
-        url = f"emu://?preset=ideal&seed=1&fault=host-stall:ms=4500@{WHEN_S}s"
-        async with running_service(tmp_path, url) as service:
+        async with moving_service(tmp_path, f"host-stall:ms=4500@{WHEN_S}s") as (service, job):
             machine = service.machine
-            await homed(service)
-            job = await moving_at(machine, WHEN_S)
             async with asyncio.timeout(5):
                 while not machine.link_silent:  # noqa: ASYNC110
                     await asyncio.sleep(0.05)
@@ -131,12 +135,8 @@ def test_a_stop_and_a_hold_that_a_silent_board_has_not_acknowledged_say_so(tmp_p
 @pytest.mark.parametrize("board", ["724", "732"])
 def test_an_overflow_names_the_board_and_distrusts_its_joints(tmp_path: Path, board: str) -> None:
     async def scenario() -> None:
-        async with running_service(
-            tmp_path, f"emu://?preset=ideal&seed=1&fault=overflow:board={board}@60s/0.5s"
-        ) as service:
+        async with moving_service(tmp_path, f"overflow:board={board}@{WHEN_S}s/0.5s") as (service, job):
             machine = service.machine
-            await homed(service)
-            job = await moving_at(machine, WHEN_S)
             with pytest.raises(StoppedError):
                 await job.wait()
             await asyncio.sleep(1.0)
@@ -159,9 +159,8 @@ def test_another_configuration_is_not_believed(tmp_path: Path) -> None:
     """The board still trusts its counts, but they were defined under another configuration of the host."""
 
     async def scenario() -> None:
-        async with running_service(tmp_path) as service:
+        async with homed_service(tmp_path) as service:
             machine = service.machine
-            await homed(service)
             identify, status = machine.session.link.identify, machine.board_status
             assert identify is not None and status is not None and status.trusted_mask & 31 == 31
             assert "stay homed" in machine.arm_state.connected(identify, status)
@@ -230,9 +229,8 @@ def test_a_full_disk_stops_nothing_and_is_shown(tmp_path: Path, monkeypatch: pyt
     import os
 
     async def scenario() -> None:
-        async with running_service(tmp_path) as service:
+        async with homed_service(tmp_path) as service:
             machine = service.machine
-            await homed(service)
 
             def no_space(descriptor: int) -> None:
                 raise OSError(errno.ENOSPC, "No space left on device")
@@ -251,9 +249,8 @@ def test_a_full_disk_stops_nothing_and_is_shown(tmp_path: Path, monkeypatch: pyt
 
 def test_shutting_down_brings_a_moving_arm_to_rest_with_motors_held(tmp_path: Path) -> None:
     async def scenario() -> None:
-        async with running_service(tmp_path) as service:
+        async with homed_service(tmp_path) as service:
             machine = service.machine
-            await homed(service)
             await operations.move_joints(machine, ME, START).wait()
             job = operations.move_joints(machine, ME, NEXT)
             await asyncio.sleep(0.5)
@@ -273,9 +270,8 @@ def test_a_plug_pulled_while_a_motion_begins_leaves_nothing_behind(tmp_path: Pat
 
     async def scenario() -> None:
         queued_at_rest = 0
-        async with running_service(tmp_path, "emu://begins?preset=ideal&seed=1") as service:
+        async with homed_service(tmp_path, "emu://begins?preset=ideal&seed=1") as service:
             machine = service.machine
-            await homed(service)
             await operations.move_joints(machine, ME, START).wait()
             board = running_board("begins").board
             for delay_ms in range(0, 48, 4):
@@ -311,11 +307,10 @@ def test_what_stood_still_before_a_motion_began_does_not_begin_it(tmp_path: Path
 
     async def scenario() -> None:
         ends = {"held": 0, "not begun": 0}
-        async with running_service(tmp_path, "emu://stalls?preset=ideal&seed=1") as service:
+        async with homed_service(tmp_path, "emu://stalls?preset=ideal&seed=1") as service:
             machine = service.machine
             loop = asyncio.get_running_loop()
             assert isinstance(loop, VirtualLoop)
-            await homed(service)
             for delay_ms in (0, 8, 16, 60):
                 await operations.move_joints(machine, ME, START).wait()
                 await asyncio.sleep(3.0)
@@ -353,9 +348,8 @@ def test_nobody_plans_from_a_guess_when_the_board_does_not_settle(
     """A motion broke off and taking over the board's positions failed: the next one is refused until a reset."""
 
     async def scenario() -> None:
-        async with running_service(tmp_path) as service:
+        async with homed_service(tmp_path) as service:
             machine = service.machine
-            await homed(service)
             await operations.move_joints(machine, ME, START).wait()
             job = operations.move_joints(machine, ME, NEXT)
             await asyncio.sleep(1.0)
