@@ -75,6 +75,11 @@ class PlannedProgram:
         return self._rolling.checked_to_line
 
     @property
+    def read_to_line(self) -> int:
+        """The highest line that has been read; may be asked from anywhere while the check goes on."""
+        return self._check.line
+
+    @property
     def is_complete(self) -> bool:
         """Whether all of it has been checked."""
         return self._rolling.is_complete

@@ -19,7 +19,7 @@ import asyncio
 import contextlib
 import itertools
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -29,10 +29,11 @@ import msgspec
 from rm501_host.errors import NoBoardError, RefusedError, Rm501Error, StoppedError
 
 CALL_TIMEOUT_S = 10.0
-_LONG_S = 120.0
-_LONG_METHODS = frozenset({"program.run", "program.check", "mdi", "motion.wait", "move.trajectory"})
-"""Planning a long program takes its time."""
+_LONG_METHODS = frozenset({"program.run", "program.check", "mdi", "move.trajectory"})
+"""Checking and planning take their time: they are waited for as long as the daemon answers other questions."""
 _WAIT_S = 20.0
+_ALIVE_S = 3.0
+"""How often a daemon that checks or plans is asked whether it still does."""
 _MAX_LINE_BYTES = 8 * 1024 * 1024
 """Answers may be longer than requests: a log of 500 records."""
 _MAX_STATUSES = 1000
@@ -87,6 +88,8 @@ class DaemonClient:
         self.status: dict[str, Any] = {}
         """The status as subscribed, kept up to date."""
         self.on_status: Callable[[dict[str, Any]], None] | None = None
+        self.on_alive: Callable[[dict[str, Any]], None] | None = None
+        """Given the whole status every few seconds while a call takes long."""
 
     async def __aenter__(self) -> Self:
         await self._tasks.__aenter__()
@@ -103,10 +106,26 @@ class DaemonClient:
 
     async def call(self, method: str, **params: object) -> Any:
         """Call a method; raises a RemoteError, NoBoardError when the daemon is gone or silent."""
-        return await self.call_within(_LONG_S if method in _LONG_METHODS else CALL_TIMEOUT_S, method, params)
+        if method not in _LONG_METHODS:
+            return await self.call_within(CALL_TIMEOUT_S, method, params)
+        async with self._asked(method, params) as answer:
+            while not (await asyncio.wait({answer}, timeout=_ALIVE_S))[0]:
+                status = await self.call_within(CALL_TIMEOUT_S, "status", {})
+                if self.on_alive is not None and not answer.done():
+                    self.on_alive(status)
+            return answer.result()
 
     async def call_within(self, timeout_s: float, method: str, params: dict[str, object]) -> Any:
         """As `call`, with its own limit on the time; raises what `call` raises."""
+        try:
+            async with self._asked(method, params) as answer, asyncio.timeout(timeout_s):
+                return await answer
+        except TimeoutError:
+            raise NoBoardError(f"the daemon did not answer {method} within {timeout_s:.0f} s; is it stopped?") from None
+
+    @contextlib.asynccontextmanager
+    async def _asked(self, method: str, params: dict[str, object]) -> AsyncIterator[asyncio.Future[Any]]:
+        """Ask, and expect the answer until the end of the block; raises NoBoardError when the daemon is gone."""
         if self._lost is not None:
             raise self._lost
         number = next(self._numbers)
@@ -116,14 +135,13 @@ class DaemonClient:
             await self._line.send(
                 msgspec.json.encode({"jsonrpc": "2.0", "id": number, "method": method, "params": params})
             )
-            async with asyncio.timeout(timeout_s):
-                return await answer
-        except TimeoutError:
-            raise NoBoardError(f"the daemon did not answer {method} within {timeout_s:.0f} s; is it stopped?") from None
+            yield answer
         except ConnectionError as error:
             raise NoBoardError(f"the daemon hung up: {error}; {_START_IT}") from error
         finally:
             self._waiting.pop(number, None)
+            if not answer.cancel() and not answer.cancelled():
+                answer.exception()  # somebody else has told why already
 
     async def motion(self, method: str, timeout_s: float | None = None, **params: object) -> dict[str, Any]:
         """Call a method that moves, and wait for the end of the motion, as `wait` does."""

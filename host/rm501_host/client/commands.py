@@ -206,6 +206,8 @@ def send_command(
         if detach:
             return await client.call("program.run", name=file.name, line=line, speed=speed)
         show = None if context.json_output else show_progress()
+        if not context.json_output:
+            client.on_alive = lambda status: click.echo(f"checking line {status['checked_to_line']} ...", err=True)
         return await _moved(client, "program.run", show, name=file.name, line=line, speed=speed)
 
     result = talk(daemon, token_file, work)

@@ -7,8 +7,10 @@ import json
 import os
 import random
 import signal
+from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,6 +22,7 @@ from rm501_host.daemon.serve import ServeOptions, serve
 from rm501_host.daemon.service import Folders
 from rm501_host.error_groups import told_by
 from rm501_host.transports import SteadyPort
+from rm501_protocol.transport import Transport
 
 
 @click.command("serve")
@@ -55,7 +58,7 @@ def serve_command(
     randomness = random.SystemRandom()
     url = context.port_url
     options = ServeOptions(
-        open_transport=SteadyPort(_with_baud(url, config.link.baud)).open,
+        open_transport=_telling(SteadyPort(_with_baud(url, config.link.baud)).open),
         nonce=lambda: randomness.getrandbits(32),
         utc=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"),
         folders=Folders(folder, programs or folder / "programs"),
@@ -96,6 +99,27 @@ async def _serve(context: CommandContext, options: ServeOptions, ready: object) 
         loop.add_signal_handler(number, asked_to_end)
     assert callable(ready)
     await serve(context.config, options, Notifier(os.environ, os.getpid()), end, ready)
+
+
+def _telling(
+    open_transport: Callable[[], Coroutine[Any, Any, Transport]],
+) -> Callable[[], Coroutine[Any, Any, Transport]]:
+    """`open_transport` that says on standard error, once, that the first board is missing."""
+    is_quiet = False
+
+    async def opened() -> Transport:
+        nonlocal is_quiet
+        try:
+            transport = await open_transport()
+        except OSError as error:
+            if not is_quiet:
+                click.echo(f"no board yet: {error}; it is tried again until there is one", err=True)
+            is_quiet = True
+            raise
+        is_quiet = True
+        return transport
+
+    return opened
 
 
 def _with_baud(url: str, baud: int) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from rm501_host.errors import RefusedError
 from rm501_host.session import ContradictionError, LinkLostError, SessionLostError
 from rm501_protocol.faults import FAULT_TEXTS, FaultCode
 from rm501_protocol.link_events import LossReason
@@ -176,6 +177,13 @@ def unsettled(reason: str) -> Cause:
         "look at the arm, then reset, which asks the board",
         Rank.UNSETTLED,
     )
+
+
+def require_fault(name: str | None) -> None:
+    """Refuse a name that no fault has: RefusedError with those that there are."""
+    names = [fault.name for fault in FaultCode if fault is not FaultCode.NONE]
+    if name is not None and name.upper() not in names:
+        raise RefusedError(f"there is no fault {name!r}; the faults are {', '.join(names)}")
 
 
 def board_fault(fault: FaultCode) -> Cause:

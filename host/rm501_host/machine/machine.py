@@ -340,8 +340,8 @@ class Machine:
     async def reset(self, who: Owner, fault: str | None = None, *, power: bool = True) -> None:
         """Leave ESTOP or OFF: clear the fault that is named, drop what is queued, switch the motors on.
 
-        Raises RefusedError naming a fault that was not named, NoBoardError, BoardRefusedError when its cause is still
-        there, StoppedError when somebody stops meanwhile: the stop wins. Nothing moves.
+        Raises RefusedError for a fault that was not named or does not exist, NoBoardError, BoardRefusedError when its
+        cause is still there, StoppedError when somebody stops meanwhile: the stop wins. Nothing moves.
         """
         self.lease.require_control(who)
         await self._resetting.reset(who.name, fault, power=power)

@@ -39,6 +39,7 @@ class Programs:
         self._around = around
         self._mdi = MdiSession(around)
         self._running: LoadedProgram | None = None
+        self._checking: LoadedProgram | None = None
         self._is_done = False
 
     @property
@@ -83,13 +84,17 @@ class Programs:
 
     @property
     def checked_to_line(self) -> int:
-        """How far the loaded program has been checked; goes on while it runs."""
+        """How far the loaded program has been checked, or the one that is just being checked; goes on while it runs."""
+        if self._checking is not None:
+            return self._checking.plan.read_to_line
         checked = 0 if self.checked is None or not self.name else self.checked.checked_to_line
         return checked if self._running is None else max(checked, self._running.plan.checked_to_line)
 
     @property
     def check_complete(self) -> bool:
         """Whether the loaded program has been checked to its end."""
+        if self._checking is not None:
+            return False
         if self._running is not None:
             return self._running.plan.is_complete
         return self.checked is not None and bool(self.name) and self.checked.complete
@@ -136,11 +141,15 @@ class Programs:
             loop.call_soon_threadsafe(messages.append, text)
 
         program = LoadedProgram(self._machine, self._around, path, line, start, speed, step, tell)
+        self._checking = program
         try:
             checked = await loop.run_in_executor(None, program.check)
         except BaseException:
             program.close()
             raise
+        finally:
+            if self._checking is program:
+                self._checking = None
         try:
             self._refuse_while_moving(name)
         except RefusedError:

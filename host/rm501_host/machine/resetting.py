@@ -35,8 +35,8 @@ class Resetting:
     async def reset(self, who: str, fault: str | None, *, power: bool) -> None:
         """Clear the fault that is named, drop what is queued, switch the motors on if `power`.
 
-        Raises RefusedError naming a fault that was not named, NoBoardError, BoardRefusedError when its cause is still
-        there, StoppedError when somebody stops meanwhile.
+        Raises RefusedError naming a fault that was not named, or for a name that none has, NoBoardError,
+        BoardRefusedError when its cause is still there, StoppedError when somebody stops meanwhile.
         """
         async with self._one_at_a_time:
             stops = self._stops
@@ -55,6 +55,8 @@ class Resetting:
 
     async def _reset(self, who: str, fault: str | None, *, power: bool, stops: int) -> None:
         condition, session = self._condition, self._session()
+        if session.status is None or session.status.state is not BoardState.FAULT:
+            causes.require_fault(fault)
         if condition.state.task is TaskState.ON and condition.state is not MachineState.IDLE:
             raise RefusedError(f"the machine is {describe(condition.state)}; stop or abort first")
         if condition.state is MachineState.IDLE and session.status is not None and session.status.power:

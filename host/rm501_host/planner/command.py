@@ -12,9 +12,9 @@ import click
 @click.argument("program", type=click.Path(exists=True, dir_okay=False, readable=True, path_type=Path))
 @click.option("--out", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write samples (.npz).")
 @click.option("--start", help="Joints at the start, q1,q2,q3,q4,q5 in deg; default: the home position.")
-@click.option("--max-moves", type=click.IntRange(min=1), help="Refuse longer ones; default: max_blocks of [preflight].")
+@click.option("--max-moves", type=click.IntRange(min=1), default=20_000, show_default=True, help="Refuse longer ones.")
 @click.pass_context
-def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str | None, max_moves: int | None) -> None:
+def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str | None, max_moves: int) -> None:
     """Plan PROGRAM and print its times and the limits it reaches; with --json as JSON on stdout.
 
     The samples are 1 ms apart but for the last: t_s (n), q_deg (n,5), tcp_mm (n,3) in the base frame, motor_steps
@@ -40,7 +40,7 @@ def plan_command(ctx: click.Context, program: Path, out: Path | None, start: str
         program, arm, lambda: planner.q_deg.tolist(), lambda text: click.echo(text, err=True), config=config
     )
     remedy = "the whole plan is kept in memory: correct its loop, or plan more of it with --max-moves"
-    bounded = at_most(moves, max_moves or config.preflight.max_blocks, remedy)
+    bounded = at_most(moves, max_moves, remedy)
     plan = Plan(arm, config, planner.plan(words_of_progress(ctx.obj, "planning", bounded)))
     positions = [*map(to_q48, arm.motors_from_joints(start_deg).tolist()), 0]
     segments = list(Segmenter(config, positions, 0).segments(plan.pieces))

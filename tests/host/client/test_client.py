@@ -59,6 +59,39 @@ def test_a_motion_is_waited_for_however_long_it_takes() -> None:
     assert took_s >= 3 * HOUR_S
 
 
+def test_a_check_is_waited_for_as_long_as_the_daemon_lives() -> None:
+    alive = list[int]()
+
+    def answer(method: str, params: dict[str, Any]) -> tuple[float, Any]:
+        return (3 * HOUR_S, {"motion": 7}) if method == "program.run" else (0.01, {"checked_to_line": 5})
+
+    async def long_check() -> tuple[Any, float]:
+        async with DaemonClient(ScriptedLine(answer)) as client:
+            client.on_alive = lambda status: alive.append(status["checked_to_line"])
+            started = await client.call("program.run", name="endless.ngc")
+        return started, asyncio.get_running_loop().time()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        started, took_s = runner.run(long_check())
+    assert started == {"motion": 7}
+    assert took_s == pytest.approx(3 * HOUR_S, abs=1.0)
+    assert len(alive) > 1000 and set(alive) == {5}
+
+
+def test_a_daemon_that_stops_answering_is_not_waited_for() -> None:
+    def answer(method: str, params: dict[str, Any]) -> tuple[float, Any]:
+        return HOUR_S, {}
+
+    async def no_answer() -> float:
+        async with DaemonClient(ScriptedLine(answer)) as client:
+            with pytest.raises(NoBoardError, match="is it stopped"):
+                await client.call("program.run", name="endless.ngc")
+            return asyncio.get_running_loop().time()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        assert runner.run(no_answer()) < 60.0
+
+
 def test_progress_is_shown_from_any_order_of_changes(capsys: pytest.CaptureFixture[str]) -> None:
     show = show_progress()
     for changed in (

@@ -80,6 +80,28 @@ def test_a_port_named_to_a_command_of_the_daemon_is_answered_by_how_to_start_it(
     assert "rm501-host --port /dev/ttyACM7 serve" in result.stderr
 
 
+def test_a_daemon_without_a_board_says_so_once(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    daemon = subprocess.Popen(
+        [*COMMAND, "--port", str(tmp_path / "quatsch"), "serve", "--socket", str(path), "--state", str(tmp_path / "s")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with daemon:
+        try:
+            assert daemon.stdout is not None and daemon.stderr is not None
+            assert "serves" in daemon.stdout.readline()
+            said = daemon.stderr.readline()
+            assert said.startswith("no board yet: ") and "quatsch" in said and "tried again" in said
+            blocking_until(
+                lambda: (tmp_path / "s" / "log.jsonl").read_text().count("link_down") >= 2, "another attempt"
+            )
+            daemon.send_signal(signal.SIGTERM)
+            assert daemon.wait(PATIENCE_S) == 0
+            assert daemon.stderr.read() == ""
+        finally:
+            daemon.kill()
+
+
 def test_a_program_with_old_comments_is_sent_as_the_characters_that_it_shows(socket: Path, tmp_path: Path) -> None:
     program = tmp_path / "greifer.ngc"
     program.write_bytes("(Greifer öffnen)\nG1 X1 (ohne F: wird abgelehnt)\nM2\n".encode("latin-1"))

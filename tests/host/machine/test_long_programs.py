@@ -9,7 +9,8 @@ import msgspec
 import pytest
 
 from rm501_host.config import load_config
-from rm501_host.errors import ProgramRefusedError, StoppedError
+from rm501_host.errors import ProgramRefusedError, RefusedError, StoppedError
+from rm501_host.machine.program_check import Checked, LoadedProgram
 from rm501_host.machine.snapshot import snapshot
 from rm501_host.machine.states import MachineState
 from rm501_host.virtual_time import run_virtual
@@ -47,6 +48,32 @@ def test_an_endless_program_runs_until_somebody_ends_it(tmp_path: Path) -> None:
             with pytest.raises(StoppedError):
                 await job.wait()
             assert machine.state is MachineState.IDLE
+
+    run_virtual(scenario())
+
+
+def test_status_says_how_far_a_check_has_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    put(tmp_path, "G21 G90 G94 F6000\nG0 X280 Y0 Z200 A0 B0\nG1 X290\nG1 X300\nM2\n")
+    check, seen = LoadedProgram.check, list[tuple[int, bool]]()
+
+    async def scenario() -> None:
+        async with running_service(tmp_path, config=CONFIG) as service:
+            programs = service.programs
+            await homed(service)
+
+            def watched(program: LoadedProgram) -> Checked:
+                found = check(program)
+                seen.append((programs.checked_to_line, programs.check_complete))
+                return found
+
+            monkeypatch.setattr(LoadedProgram, "check", watched)
+            await programs.load("a.ngc")
+            assert seen == [(5, False)]  # under way, and not that of an earlier program
+            assert programs.check_complete
+            put(tmp_path, "G21 G90 G94 F6000\nG0 X280 Y0 Z900 A0 B0\nM2\n")
+            with pytest.raises(RefusedError):
+                await programs.load("a.ngc")
+            assert programs.check_complete  # that of the one that is loaded
 
     run_virtual(scenario())
 
