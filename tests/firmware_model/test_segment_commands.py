@@ -6,23 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from rm501_protocol.board_config import RM501_BOARD
-from rm501_protocol.config_pages import OutputPin, OutputSource
 from rm501_protocol.enums import BoardState, EventKind, HandState, HoldCause, ResumeCause, SegmentFlag
 from rm501_protocol.faults import FaultCode, RefusalReason
 from rm501_protocol.link_events import SessionLost
 from rm501_protocol.messages import Hold, Refused, Resume, SetOverride, SetPositions, Start
 from rm501_protocol.segment_message import MotorTerm, Segment, SegmentEvent, hand_event, output_event
 from tests.firmware_model.rig import ONE, Rig
+from tests.firmware_model.test_commands import DIGITAL
 from tests.firmware_model.test_states import SPEED, cruise
 
-DIGITAL = replace(
-    RM501_BOARD,
-    pins=replace(
-        RM501_BOARD.pins,
-        outputs=(*RM501_BOARD.pins.outputs, OutputPin(OutputSource.DIGITAL + 2, 30, False)),
-    ),
-)
 REST = SegmentFlag.ENDS_AT_REST
 
 
