@@ -43,6 +43,18 @@ def test_starts_in_estop_and_nothing_moves_before_reset_and_home(tmp_path: Path)
     virtual(scenario())
 
 
+def test_a_fault_that_does_not_exist_is_refused_whether_or_not_one_is_latched(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with running_service(tmp_path) as service:
+            with pytest.raises(RefusedError, match="no fault 'NIX'; the faults are OVERFLOW, ESTOP, KILLED"):
+                await service.machine.reset(ME, "NIX")
+            assert service.machine.state is MachineState.ESTOP
+            await service.machine.reset(ME, "killed")  # none is latched any more: somebody else was quicker
+            assert service.machine.state is MachineState.IDLE
+
+    virtual(scenario())
+
+
 def test_hold_and_resume_end_where_an_undisturbed_move_ends(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with running_service(tmp_path) as service:
