@@ -111,7 +111,7 @@ class Machine:
         session = self._port.session
         if session is None or self.job is None:
             return
-        with contextlib.suppress(Rm501Error):
+        with contextlib.suppress(Rm501Error, TimeoutError):
             self._runner.abort_now(session)
             async with asyncio.timeout(REST_TIMEOUT_S):
                 await self.job.done.wait()
