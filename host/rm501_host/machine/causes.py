@@ -9,7 +9,7 @@ which a reset has to name, above everything.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from rm501_host.errors import RefusedError
@@ -53,8 +53,11 @@ class Cause:
     text: str
     remedy: str
     rank: Rank
+    back: str = ""
+    """The remedy once the connection has come back, where that differs."""
 
 
+_BACK = "the connection is back: look at the arm, reset, and home the joints that are not trusted"
 STARTED = Cause("the daemon has started", "look at the arm, then reset", Rank.STARTED)
 CONNECTING = Cause(
     "there is no connection to the board yet",
@@ -120,10 +123,14 @@ class Causes:
 
     def connected(self, *, restarted: bool, fault: Cause | None) -> None:
         """A session is open. `restarted`: with another boot of the board than the last one. `fault`: the one that is
-        latched. What can be asked now, and what has been put right, is over; why the connection was lost stays.
+        latched. What can be asked now, and what has been put right, is over; why the connection was lost stays, with
+        what is left to do.
         """
         for over in (Rank.CONNECTING, Rank.UNSETTLED, Rank.REFUSED_CONNECTION, Rank.BOARD_FAULT):
             self._known.pop(over, None)
+        for rank, cause in self._known.items():
+            if cause.back:
+                self._known[rank] = replace(cause, remedy=cause.back, back="")
         if restarted:
             self.add(BOARD_RESTARTED)
         if fault is not None:
@@ -156,6 +163,7 @@ def link_lost(error: Exception) -> Cause:
         f"the connection to the board is lost: {reason}",
         "the arm holds on its path; restore the connection (it is tried again), look at the arm, then reset",
         Rank.LINK_LOST,
+        _BACK,
     )
 
 
@@ -167,6 +175,7 @@ def silent(silence_s: float) -> Cause:
         "the arm holds on its path; check the connection and the board's power, look at the arm, then reset, which "
         "asks the board",
         Rank.SILENT,
+        _BACK,
     )
 
 

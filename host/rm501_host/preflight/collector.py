@@ -13,10 +13,11 @@ MOST_ERRORS = 500
 
 
 class Collector:
-    """Findings in the order in which they were made; one per file, line and kind."""
+    """Findings, one per file, line and kind; several moves are looked at in one go, so they come in any order."""
 
     def __init__(self) -> None:
         self._found: list[Finding] = []
+        self._numbers: list[int] = []
         self._known: dict[tuple[str, int, FindingKind], int] = {}
         self._left = {Severity.WARNING: MOST_WARNINGS, Severity.ERROR: MOST_ERRORS}
         self._slow: dict[int, Finding] = {}
@@ -43,6 +44,7 @@ class Collector:
             self._left[finding.severity] -= 1
             self._known[key] = len(self._found)
             self._found.append(finding)
+            self._numbers.append(number)
 
     def add_slow(self, row: int, slowest: Finding) -> None:
         """`slowest.count` more moves that limit `row` keeps below their feed; the slowest of all is kept."""
@@ -55,8 +57,9 @@ class Collector:
             self._slow[row] = replace(known, count=known.count + slowest.count)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Errors and warnings in order, then one summary per limit that keeps moves below their feed."""
-        return (*self._found, *self._slow.values())
+        """Errors and warnings in the order of the moves, then a summary per limit that keeps moves below their feed."""
+        in_order = sorted(zip(self._numbers, range(len(self._found)), strict=True))
+        return (*(self._found[place] for _, place in in_order), *self._slow.values())
 
     def since(self, count: int) -> tuple[Finding, ...]:
         """What has been found after the first `count` findings, summaries left out."""

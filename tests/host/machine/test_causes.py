@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,16 @@ def test_the_order_in_which_causes_are_noticed_does_not_matter(noticed: list[Cau
     assert first.shown is None
 
 
+def test_nobody_is_told_to_restore_a_connection_that_has_come_back() -> None:
+    found = Causes()
+    found.add(causes.silent(3.0))
+    found.add(SILENCE)
+    assert "restore the connection" in shown(found).remedy
+    found.connected(restarted=False, fault=None)
+    assert shown(found).text == SILENCE.text
+    assert shown(found).remedy.startswith("the connection is back: look at the arm, reset, and home")
+
+
 @pytest.mark.parametrize("restarted", [False, True])
 @pytest.mark.parametrize("is_latched", [False, True])
 def test_after_reconnecting_the_order_before_it_does_not_matter(restarted: bool, is_latched: bool) -> None:
@@ -94,7 +105,8 @@ def test_after_reconnecting_the_order_before_it_does_not_matter(restarted: bool,
         assert found.connection == SILENCE
         found.connected(restarted=restarted, fault=fault)
         after.add(shown(found))
-    assert after == {OVERFLOW if is_latched else causes.BOARD_RESTARTED if restarted else SILENCE}
+    line_lost = replace(SILENCE, remedy=SILENCE.back, back="")
+    assert after == {OVERFLOW if is_latched else causes.BOARD_RESTARTED if restarted else line_lost}
 
 
 def test_a_connection_that_was_refused_is_no_reason_once_there_is_one() -> None:
@@ -159,7 +171,7 @@ def test_a_motion_that_breaks_off_while_the_board_is_silent_never_hides_that_it_
     run_virtual(scenario())
     assert len(told) == 1, told
     (text,) = told
-    lost = "the connection to the board is lost: it has been silent for some s; the arm holds on its path"
+    lost = "the connection to the board is lost: it has been silent for some s; the connection is back: look at the arm"
     assert text.startswith("the board restarted and lost its position" if boot == "another" else lost)
 
 
