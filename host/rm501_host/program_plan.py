@@ -25,7 +25,7 @@ from rm501_host.preflight import PreflightReport, ProgramCheck, ProgramFault, Ro
 from rm501_host.program import read_moves
 
 EAGER_MOVES = 5_000
-"""Planned in a second or two of CPU; more would keep the operator waiting."""
+"""Planned in a few seconds of CPU (turning XYZABC moves take longer); more would keep the operator waiting."""
 _TRUSTED_SHARE = 0.25
 """When so much of a program has been planned, the rest is taken to be like that."""
 
