@@ -134,7 +134,7 @@ class ProgramCheck:
         """How long the moves checked so far take, at so many times their feeds, within a third: stretches of them
         are planned, in a second or two of CPU for a long program (`preflight.pace`).
         """
-        return self._check.pace.estimate_s(self._check.nominal_s, speed_scale)
+        return self._check.pace.estimate_s(self._check.moving_s, speed_scale) + self._check.still_s
 
     def take(self, move: Move | Action) -> None:
         """Check one more move: at once, or with the batch that it belongs to."""
@@ -223,7 +223,8 @@ class _Check:
         self._taken = 0
         self.line = 0
         self._config = config
-        self._still_s = 0.0
+        self.still_s = 0.0
+        """Dwells and strokes of the hand among what was checked."""
         self.pace = Pace(config, self._nominal_of)
         self._least_cost = TURNING_COST if arm.frame.has_rpy else 1.0
         self.cost = 0.0
@@ -240,7 +241,7 @@ class _Check:
             self.line = move.source.line
         if self.pace.wants_to_begin():
             self.flush()
-            self.pace.begin(self._path.arm, self._path.q_deg, self.nominal_s)
+            self.pace.begin(self._path.arm, self._path.q_deg, self.moving_s)
         self.pace.take(move)
         self.cost += ARC_COST if isinstance(move, ArcMove) else self._least_cost
         if isinstance(move, self._in_runs):
@@ -299,7 +300,7 @@ class _Check:
                         self._margin_mm = margin_mm
                     return
                 case _:
-                    self._still_s += still_s(self._config, move)
+                    self.still_s += still_s(self._config, move)
                     return
         except PlanError as error:
             self._refuse(error, move, start_deg, number)
@@ -332,14 +333,19 @@ class _Check:
     @property
     def nominal_s(self) -> float:
         """Time of what was checked, without accelerations."""
-        return self._along.nominal_s + self._still_s
+        return self.moving_s + self.still_s
+
+    @property
+    def moving_s(self) -> float:
+        """The same without `still_s`."""
+        return self._along.nominal_s
 
     def _nominal_of(self, arm: Arm, start_deg: Array, moves: Sequence[Move | Action]) -> float:
         check = _Check(arm, self._config, start_deg)
         for move in moves:
             check.take(move)
         check.flush()
-        return check.nominal_s
+        return check.moving_s
 
     def flush(self) -> None:
         """Check what has been collected."""

@@ -4,7 +4,8 @@ At their feeds and the largest rates of joints and motors moves would take the n
 make them take longer, from a few per cent on long lines to ten times on tiny half circles. So stretches of a program
 are kept as it is checked, at moves ever further apart, and some of them planned when somebody asks. Each is planned
 twice, as a whole and its beginning alone: the difference is what its last moves take in the middle of a motion. The
-first stretch, with the way to where the work begins, counts as planned.
+first stretch, with the way to where the work begins, counts as planned. All of this is about time in motion: dwells
+and strokes of the hand take what they take.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ FURTHER = 1.3
 that are planned lie as evenly as these allow."""
 
 Nominal = Callable[[Arm, Array, Sequence[Move | Action]], float]
-"""The nominal time, in s, of moves from joints (5,)."""
+"""The nominal time in motion, in s, of moves from joints (5,)."""
 
 
 @dataclass(slots=True, eq=False)
@@ -77,7 +78,7 @@ class Pace:
             self._stretches[-1].moves.append(move)
 
     def estimate_s(self, nominal_s: float, speed_scale: float) -> float:
-        """How long the moves take of which the nominal time is `nominal_s`, at so many times their feeds; plans
+        """Time in motion of the moves of which the nominal one is `nominal_s`, at so many times their feeds; plans
         stretches anew each time.
         """
         if not self._stretches:
@@ -129,7 +130,7 @@ class Pace:
 
     def _planned_s(self, stretch: _Stretch, moves: Sequence[Move | Action], speed_scale: float) -> float:
         planner = Planner(stretch.arm, self._config, stretch.q_deg, speed_scale=speed_scale)
-        return sum(piece.duration_s for piece in planner.plan(list(moves)))
+        return sum(piece.motion_s for piece in planner.plan(list(moves)))
 
 
 def still_s(config: Config, move: Move | Action) -> float:
